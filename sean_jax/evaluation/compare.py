@@ -94,7 +94,8 @@ class ComparedFigure(NamedTuple):
 
     def texts(self) -> tuple[str, str, str, str]:
         """Both means, the difference, and its interval, which is empty where both ends are the same."""
-        scale, digits = 100.0 if self.figure.unit == "%" else 1.0, self.figure.digits
+        scale = 100.0 if self.figure.unit == "%" else 1.0
+        digits = self.figure.digits
         one, other = (f"{scale * mean:.{digits}f}" for mean in self.values[:2])
         middle, *ends = (_signed(scale * value, digits) for value in self.values[2:5])
         return one, other, middle, "" if ends[0] == ends[1] else " to ".join(ends)
@@ -125,7 +126,8 @@ def compare(options: CompareConfig, console: Console) -> Path:
     runs = []
     for folder, name in zip(options.runs, names, strict=True):
         runs.append(read_run(folder, name if names.count(name) == 1 else str(folder)))
-    views, words = differences(runs), summarize(runs)
+    views = differences(runs)
+    words = summarize(runs)
     if options.situation not in views:
         raise InputError(f"--situation: '{options.situation}' is not one of {', '.join(views)}.")
 
@@ -255,7 +257,9 @@ def _row(first: SavedRun, second: SavedRun, column: str, common: int) -> Compare
     """A figure of two runs, of which the first ``common`` episodes are the same; None without values."""
     name = column.partition("__")[0]
     figure = _figure(name, first)
-    values, cut_values, is_cut = [], [], False
+    values = []
+    cut_values = []
+    is_cut = False
     for run in (first, second):
         rows = run.columns[column][: common * run.robots or None]
         if figure.completed_only:
@@ -304,7 +308,8 @@ def summarize(runs: Sequence[SavedRun]) -> str:
     first, *others = runs
     sentences = []
     for other in others:
-        number, names = paired(first, other), differing_options(first, other)
+        number = paired(first, other)
+        names = differing_options(first, other)
         subject = f"{other.name} and {first.name}" if len(others) > 1 else "The runs"
         episodes = "have different episodes, so their means are compared"
         if number:

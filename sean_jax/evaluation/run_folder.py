@@ -57,7 +57,8 @@ def read_config(path: Path, check: bool = True) -> SavedConfig:
     if not isinstance(saved, dict):
         raise InputError(f"{path}: config: holds no description; give field: value lines.")
 
-    hashes, copies = _texts(path, content, "sha256", "digest"), _texts(path, content, "copies", "copy")
+    hashes = _texts(path, content, "sha256", "digest")
+    copies = _texts(path, content, "copies", "copy")
     code = {name: digest for name, digest in hashes.items() if name.endswith(".py")}
     if check:
         _check_files(path, {name: digest for name, digest in hashes.items() if name not in code})
@@ -113,7 +114,8 @@ def read_episodes(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
     Raises:
         FileError: the file cannot be read, its episodes do not count from 0, or a value is out of range.
     """
-    rows, name = files.read_rows(path), files.short_name(path)
+    rows = files.read_rows(path)
+    name = files.short_name(path)
     head = next(rows, [])
     for column in ("episode", "task", "completed", "seconds"):
         if column not in head:

@@ -121,7 +121,8 @@ def _read_inputs(config: RunConfig, scenario: ScenarioPlan) -> tuple[InputFiles,
     Raises:
         InputError: a file cannot be read.
     """
-    inputs, names = InputFiles({}, {}, {}), dict[str, str]()
+    inputs = InputFiles({}, {}, {})
+    names = dict[str, str]()
     for option, name, path, sources in _named_files(config, scenario):
         names[name] = name if name in environment.available() else os.path.abspath(path)
         root = Path(os.path.abspath(path if path.is_dir() else path.parent))

@@ -396,7 +396,8 @@ def check_encoder(encoder: nn.Module, observation: dict[str, tuple[int, ...]]) -
 
     def check(observation: dict[str, Array]) -> None:
         result, variables = user_calls.call("network", _Checked(encoder), "observation", observation)
-        actual, expected = user_calls.describe(result), "float32 (features,)"
+        actual = user_calls.describe(result)
+        expected = "float32 (features,)"
         if not (isinstance(result, jax.Array) and result.ndim == 1 and result.dtype == jnp.float32):
             cure = "give the features of one observation, as by x.reshape(-1); the trainer adds batch and outputs"
             raise user_calls.wrong("network", encoder, actual, expected, cure)
@@ -556,7 +557,8 @@ def update_statistics(before: Statistics, vectors: Float[Array, "*batch F"]) -> 
     """
     batch = tuple(range(vectors.ndim - 1))  # not flattened, which would collect what several devices share
     number = jnp.asarray(math.prod(vectors.shape[:-1]), jnp.float32)
-    mean, variance = vectors.mean(batch), vectors.var(batch)
+    mean = vectors.mean(batch)
+    variance = vectors.var(batch)
     total = before.count + number
     gap = mean - before.mean
     squares_sum = before.variance * before.count + variance * number + gap * gap * before.count * number / total
@@ -576,10 +578,12 @@ def log_density(output: NetworkOutput, action: Float[Array, "*batch 2"]) -> Floa
 
     Source, of squashed actions: T. Haarnoja et al., "Soft actor-critic", ICML 2018, appendix C.
     """
-    center, wide = output.mean, jnp.zeros_like(action)
+    center = output.mean
+    wide = jnp.zeros_like(action)
     if output.location is not None:
         action = jnp.arctanh(jnp.clip(action, -MAX_ACTION, MAX_ACTION))
-        center, wide = output.location, _log_slope(action)
+        center = output.location
+        wide = _log_slope(action)
     gap = (action - center) * jnp.exp(-output.log_std)
     return -(0.5 * gap * gap + output.log_std + 0.5 * np.log(2.0 * np.pi) + wide).sum(-1)
 
@@ -589,7 +593,8 @@ def entropy(output: NetworkOutput) -> Float[Array, "*batch"]:
     each = output.log_std + 0.5 * np.log(2.0 * np.pi * np.e)
     if output.location is not None:
         nodes, weights = (jnp.asarray(part, each.dtype) for part in (NODES, NODE_WEIGHTS / NODE_WEIGHTS.sum()))
-        location, deviation = output.location, jnp.exp(output.log_std)
+        location = output.location
+        deviation = jnp.exp(output.log_std)
         slopes = jax.vmap(lambda node: _log_slope(location + node * deviation))(nodes)
         each = each + jnp.tensordot(weights, slopes, 1)
     return each.sum(-1)

@@ -51,12 +51,14 @@ def export(source: Path | str, out: Path | str) -> Path:
         import onnx
     except ImportError:
         raise InputError('export onnx: onnx is missing; pip install "sean_jax[export]".') from None
-    folder, out = agent_folder(str(source), "export onnx"), Path(out)
+    folder = agent_folder(str(source), "export onnx")
+    out = Path(out)
     scenario = training_scenario(folder)
     folder = last_round(folder)
     description = in_32_bits(describe(folder, scenario))
     agent = read_agent(folder, description)
-    network, space = description.network, description.space
+    network = description.network
+    space = description.space
 
     inputs = {name: jax.ShapeDtypeStruct(space[name].shape, jnp.float32) for name, _ in description.terms}
     if network.recurrent:
@@ -208,7 +210,8 @@ class _Translation:
         results = self.run(closed, inputs)
         for name, value in zip(outputs, results, strict=True):
             self.nodes.append(helper.make_node("Identity", [self.name(value)], [name]))
-        needed, nodes = set(outputs), []
+        needed = set(outputs)
+        nodes = []
         for node in reversed(self.nodes):
             if needed.intersection(node.output):
                 nodes.append(node)
@@ -222,7 +225,8 @@ class _Translation:
 
     def run(self, closed: Any, arguments: Sequence[Any]) -> list[Any]:
         """The values of a program with its constants."""
-        program, values = closed.jaxpr, {}
+        program = closed.jaxpr
+        values = {}
         values.update(zip(program.constvars, map(np.asarray, closed.consts), strict=True))
         values.update(zip(program.invars, arguments, strict=True))
         read = lambda each: np.asarray(each.val) if hasattr(each, "val") else values[each]  # noqa: E731
@@ -317,7 +321,8 @@ class _Translation:
 
     def _rev(self, operation: _Operation) -> str:
         axes = _whole(operation.params["dimensions"])
-        last, end = np.full_like(axes, -1), np.full_like(axes, np.iinfo(np.int64).min)
+        last = np.full_like(axes, -1)
+        end = np.full_like(axes, np.iinfo(np.int64).min)
         return self.node("Slice", operation.first, last, end, axes, last)
 
     def _split(self, operation: _Operation) -> list[str]:
@@ -325,7 +330,8 @@ class _Translation:
         return self.nodes_of("Split", [operation.first, sizes], len(sizes), axis=operation.params["axis"])
 
     def _slice(self, operation: _Operation) -> str:
-        params, dimensions = operation.params, len(operation.out.shape)
+        params = operation.params
+        dimensions = len(operation.out.shape)
         steps = params["strides"] or (1,) * dimensions
         limits = params["start_indices"], params["limit_indices"], range(dimensions), steps
         return self.node("Slice", operation.first, *map(_whole, limits))

@@ -89,7 +89,8 @@ def update(
         envs = tuple(env.map_member(_without_people) for env in envs)
 
     # The target critic values the end of the horizon: it changes slowly, so the actor chases no moving goal.
-    memory, discount = batch.memory, hyperparameters["discount"]
+    memory = batch.memory
+    discount = hyperparameters["discount"]
     target_critic = replace(agent, parameters=optimizer.target)
 
     # The actor makes one step along the gradient through the simulator.

@@ -116,14 +116,16 @@ def _goal_heading(scenario: Scenario, state: State, prepared: tuple) -> Array:
 
 def _path(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """The next corner of the shortest path, or the goal: (2,) m."""
-    robot, task = state.robot, state.task
+    robot = state.robot
+    task = state.task
     ahead = navigation.next_point(scenario.navigation, robot.position, task.goal, task.paths_to_goal)
     return _shortened(_in_frame(state, ahead - robot.position))
 
 
 def _distance(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """Length of the shortest path that is left: (1,) m."""
-    robot, task = state.robot, state.task
+    robot = state.robot
+    task = state.task
     remaining = navigation.geodesic(scenario.navigation, robot.position, task.goal, task.paths_to_goal)
     return remaining[None]
 
@@ -194,7 +196,8 @@ def _visible_people(nearest: int, reach: float, scenario: Scenario, state: State
     0 or 1.
     """
     rows = _people(nearest, reach, scenario, state, prepared)
-    position, heading = state.robot.position, state.robot.heading
+    position = state.robot.position
+    heading = state.robot.heading
     x, y = rotate(rows[:, 0], rows[:, 1], heading[0], heading[1])
 
     # The barrier keeps the places of people out of the loop over obstacles.
@@ -426,7 +429,8 @@ def begin(terms: Terms, scenario: Scenario, state: State, key: Array) -> tuple[d
     readings = {name: _read(term, scenario, state, prepared[name]) for name, term in terms}
 
     # A term with earlier readings has a line of them, newest first, and a delay for the episode.
-    lines, delays = {}, {}
+    lines = {}
+    delays = {}
     for number, (name, term) in enumerate(terms):
         if term.readings > 1:
             least, most = term.delay

@@ -85,7 +85,8 @@ def distance_to_goal(
     It equals ``navigation.geodesic`` where the shortest path passes one of these corners, which holds for 95 of 100
     places within 1.5 m and in sight of where they were chosen. Elsewhere it is longer.
     """
-    navigation, goal = scenario.navigation, state.task.goal
+    navigation = scenario.navigation
+    goal = state.task.goal
     paths = _path_lengths(scenario, table.corners, table.index, table.paths_to_goal, x, y)
     clearance = NARROW * navigation.radius
 

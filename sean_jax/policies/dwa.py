@@ -113,7 +113,9 @@ def objective(
     Args:
         target: m, in the robot's frame.
     """
-    model, robot, shape = scenario.robot, state.robot, commands[0].shape
+    model = scenario.robot
+    robot = state.robot
+    shape = commands[0].shape
     constant = tuple(jnp.broadcast_to(component.reshape(-1), (STEPS, component.size)) for component in commands)
     motion = predict_robot(model, LAWS[model.drive_type].speeds(model, robot), constant, INTERVAL)
     people = predict_straight(nearest_people(state, MAX_PEOPLE), STEPS, INTERVAL)
@@ -159,7 +161,8 @@ def free_way(scenario: Scenario, state: State, motion: RobotMotion, people: Peop
 
     A robot that is too near to somebody already collides only where it comes nearer.
     """
-    robot, model = state.robot, scenario.robot
+    robot = state.robot
+    model = scenario.robot
     ahead = jnp.concatenate([jnp.zeros_like(motion.x[:1]), motion.x])  # (1 + T, P), now and after each step
     left = jnp.concatenate([jnp.zeros_like(motion.y[:1]), motion.y])
     x, y = to_world(robot.position, robot.heading, ahead, left)

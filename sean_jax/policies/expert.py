@@ -161,7 +161,8 @@ def begin_search(scenario: Scenario, params: ExpertParams, state: State, people:
     # A robot that waits comes nearer to people.
     distance_min, waiting_ticks = _progress(scenario, params, state, table)
     waiting = scenario.time_step * waiting_ticks.astype(position.dtype)
-    weights, patience = params.weights, params.patience
+    weights = params.weights
+    patience = params.patience
     personal_space = weights.personal_space * patience / (patience + waiting)
     weights = replace(weights, personal_space=personal_space)
     params = replace(params, weights=weights)
@@ -255,7 +256,8 @@ def _simulate(
     scenario: Scenario, state: State, knots: Float[Array, "P knots command"], limits: tuple[Array, Array, Array]
 ) -> RobotMotion:
     """The motion of plans on the floor."""
-    model, robot = scenario.robot, state.robot
+    model = scenario.robot
+    robot = state.robot
     interpolation = jnp.asarray(INTERPOLATION, float)
     shares = jnp.einsum("tk,pkc->tpc", interpolation, knots)
     commands = _commands(model, shares, limits)
@@ -367,7 +369,8 @@ def group_rate(
     state: State, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"]
 ) -> Float[Array, "T P"]:
     """Cost [1/s] of being in o-spaces, at (x, y) [m]; less far for groups that the task joins or leaves."""
-    groups, task = state.groups, state.task
+    groups = state.groups
+    task = state.task
     index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
     is_task_group = (index == task.goal_group) | (index == task.start_group)
     share = jnp.where(is_task_group, 0.5, 1.2)  # of an o-space's radius

@@ -35,7 +35,8 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "command"
     Raises:
         InputError: the robot is a car.
     """
-    robot, model = state.robot, scenario.robot
+    robot = state.robot
+    model = scenario.robot
     require(model, ("differential", "omnidirectional"), "orca steers")
     observation = observe(scenario, state)
     lever, speed_ahead, speed_left = steering.point_ahead(model, robot)
@@ -96,7 +97,9 @@ def _to_robot(
     """Components of vectors ahead and to the left."""
     x = vectors[:, 0]
     y = vectors[:, 1]
-    return x * cosine + y * sine, y * cosine - x * sine
+    ahead = x * cosine + y * sine
+    left = y * cosine - x * sine
+    return ahead, left
 
 
 def _obstacle_half_planes(

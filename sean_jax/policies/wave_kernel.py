@@ -131,7 +131,8 @@ def _kernel(rule: Callable, tolerance: float, far: Any, lanes: int, window: Any,
         return is_within_round | (gpu_kernels.uniform(change) > tolerance)
 
     # Each thread begins a row later than its left neighbor: slot s holds row s - lane.
-    cells, rows = [], []
+    cells = []
+    rows = []
     for slot in range(warp.side):
         row = (slot - lane) & (warp.side - 1)
         cells.append(row * warp.side + 2 * lane)

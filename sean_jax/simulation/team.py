@@ -234,7 +234,8 @@ class _OfEach:
         if self.name == "init":
             pairs = zip(self.policies, params, strict=True)
             return tuple(policy.init(scenario, own_params, state) for policy, own_params in pairs)
-        actions, memories = [], []
+        actions = []
+        memories = []
         for policy, own_params, memory in zip(self.policies, params, state.policy_state, strict=True):
             own_state = replace(state, policy_state=memory)
             action, memory = policy.apply(scenario, own_params, own_state, *key)
