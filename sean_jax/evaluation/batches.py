@@ -123,7 +123,8 @@ def _depth(scenario: Scenario, people: Array) -> Array:
     x, y = people[..., 0], people[..., 1]
     distance, _, _ = jax.vmap(geometry.from_box, (None, None, 0))(x, y, scenario.environment.obstacles)
     edge = geometry.to_border(scenario.environment, x, y)
-    return scenario.forces.walking.radius - jnp.minimum(jnp.min(distance, 0, initial=jnp.inf), edge)
+    nearest = jnp.min(distance, 0, initial=jnp.inf)  # (N,)
+    return scenario.forces.walking.radius - jnp.minimum(nearest, edge)
 
 
 def _on_floor(

@@ -110,8 +110,9 @@ def error_sums(student: Student, agent: Agent, demonstrations: Example, weight: 
 
     assert agent.command_scale is not None
     error = output.mean - demonstrations.command / agent.command_scale[None]
-    sums = (valid * squared).sum(-1), valid.sum(-1), (error * error).sum(-1), jnp.ones_like(weight)
-    return (weight[:, None] * jnp.stack(sums, -1)).sum(0)
+    of_examples = (valid * squared).sum(-1), valid.sum(-1), (error * error).sum(-1), jnp.ones_like(weight)
+    weighted = weight[:, None] * jnp.stack(of_examples, -1)  # (B, 4)
+    return weighted.sum(0)
 
 
 def losses(sums: Float[Array, "4"]) -> CloningLosses:

@@ -536,7 +536,9 @@ def _put(curriculum: Curriculum, fresh: dict[str, Any], exchange: Exchange) -> C
 def _by_start(values: Float[Array, "T B C"], slot: Int[Array, "T B"], size: int) -> Float[Array, "K C"]:
     """Sums by start, of whole numbers: sums of floats would depend on the order of additions on a GPU."""
     rows = values.reshape(-1, values.shape[-1])  # (T B, C)
-    unit = jnp.maximum(jnp.abs(rows).sum(0), TINY) / WHOLE  # (C,)
+    largest = jnp.maximum(jnp.abs(rows).sum(0), TINY)
+    unit = largest / WHOLE  # (C,)
     whole = jnp.round(rows / unit[None, :]).astype(jnp.int32)
-    sums = jnp.zeros((size, rows.shape[-1]), jnp.int32).at[slot.reshape(-1)].add(whole)
+    none = jnp.zeros((size, rows.shape[-1]), jnp.int32)
+    sums = none.at[slot.reshape(-1)].add(whole)
     return sums.astype(jnp.float32) * unit[None, :]

@@ -462,9 +462,11 @@ def _ensemble_epoch(training: Training) -> Callable:
         rows = data.training
         key = jax.random.fold_in(random_streams.key("order", data.seed), state.update)
         if training.options.balance:
-            order = jnp.where(rows >= 0, jax.random.choice(key, rows, rows.shape, p=data.probabilities), -1)
+            drawn = jax.random.choice(key, rows, rows.shape, p=data.probabilities)
+            order = jnp.where(rows >= 0, drawn, -1)
         else:  # in another order, with none at the end
-            order = rows[jnp.argsort(jnp.where(rows >= 0, jax.random.uniform(key, rows.shape), 2.0))]
+            chance = jnp.where(rows >= 0, jax.random.uniform(key, rows.shape), 2.0)
+            order = rows[jnp.argsort(chance)]
         after, sums = compiled.learn(state, data.recording, order)
         after, *losses = compiled.finish(after, sums, compiled.measure(after, data.recording, data.validation))
         return jax.tree.map(lambda old, new: jnp.where(over, old, new), state, after), losses

@@ -358,23 +358,27 @@ class _Translation:
     def dot(self, values: list[Any], shapes: list, numbers: Any) -> str:
         """A product of matrices, or what ``Einsum`` makes of more axes."""
         (left, right), (left_batch, right_batch) = numbers
-        if not left_batch and tuple(left) == (len(shapes[0]) - 1,) and tuple(right) == (0,) and len(shapes[1]) == 2:
+        is_last_axis = tuple(left) == (len(shapes[0]) - 1,)
+        is_first_axis = tuple(right) == (0,)
+        if not left_batch and is_last_axis and is_first_axis and len(shapes[1]) == 2:
             return self.node("MatMul", *values)
 
         # Axes that both have in common share a letter.
         letters = iter(string.ascii_letters)
         left_letters, right_letters = ([""] * len(shape) for shape in shapes)
-        for left_axis, right_axis in zip((*left_batch, *left), (*right_batch, *right), strict=True):
+        common_left = (*left_batch, *left)
+        common_right = (*right_batch, *right)
+        for left_axis, right_axis in zip(common_left, common_right, strict=True):
             left_letters[left_axis] = right_letters[right_axis] = next(letters)
         left_letters = [letter or next(letters) for letter in left_letters]
         right_letters = [letter or next(letters) for letter in right_letters]
 
         # The result has the batch first, then the free axes of both.
         batch = [left_letters[axis] for axis in left_batch]
-        shared = {*batch, *(left_letters[axis] for axis in left)}
-        free = [letter for letter in (*left_letters, *right_letters) if letter not in shared]
-        terms = ["".join(row) for row in (left_letters, right_letters, [*batch, *free])]
-        return self.node("Einsum", *values, equation=f"{terms[0]},{terms[1]}->{terms[2]}")
+        common = {left_letters[axis] for axis in common_left}
+        free = [letter for letter in (*left_letters, *right_letters) if letter not in common]
+        first, second, result = ("".join(row) for row in (left_letters, right_letters, [*batch, *free]))
+        return self.node("Einsum", *values, equation=f"{first},{second}->{result}")
 
     def convolve(self, values: list[Any], params: Mapping[str, Any]) -> Any:
         """A convolution, with batch and channels first as ONNX has them."""

@@ -397,12 +397,17 @@ def _read_best(folder: Path, outline: Agent) -> Agent:
 
     checkpoints = Checkpoints(folder)
     shapes = checkpoints.shapes("best")
-    _check_sizes(folder, {name[6:]: shape[1:] for name, shape in shapes.items() if name.startswith("agent/")}, outline)
+    saved = {}
+    for name, shape in shapes.items():
+        if name.startswith("agent/"):
+            saved[name.removeprefix("agent/")] = shape[1:]
+    _check_sizes(folder, saved, outline)
 
     # Checkpoints have the best of each agent that was trained in parallel.
     count = shapes.get("value", (1,))[0]
     outline = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((count, *leaf.shape), leaf.dtype), outline)
-    values, updates = (jax.ShapeDtypeStruct((count,), dtype) for dtype in (jnp.float32, jnp.int32))
+    values = jax.ShapeDtypeStruct((count,), jnp.float32)
+    updates = jax.ShapeDtypeStruct((count,), jnp.int32)
     best = checkpoints.best("best", Best(outline, values, updates))  # pyright: ignore
     chosen = int(np.argmax(best.value))
     return jax.tree.map(lambda leaf: leaf[chosen], best.agent)

@@ -128,11 +128,14 @@ def _absent_far_away(people: Pedestrians, x: Array, y: Array) -> tuple[Array, Ar
 
 def predict_straight(people: Pedestrians, steps: int, time_step: float) -> PeopleMotion:
     """The motion of people at constant velocity, for people with unknown goals; steps of ``time_step`` [s]."""
-    seconds = time_step * (jnp.arange(steps, dtype=people.position.dtype) + 1.0)[:, None]
+    number = jnp.arange(steps, dtype=people.position.dtype) + 1.0
+    seconds = time_step * number[:, None]  # (T, 1)
     x, y = people.position.T[:, None, :]  # (1, K) each
     vx, vy = people.velocity.T[:, None, :]
-    px, py = _absent_far_away(people, x + seconds * vx, y + seconds * vy)
-    return PeopleMotion(px, py, jnp.broadcast_to(vx, px.shape), jnp.broadcast_to(vy, px.shape))
+    x, y = _absent_far_away(people, x + seconds * vx, y + seconds * vy)  # (T, K)
+    vx = jnp.broadcast_to(vx, x.shape)
+    vy = jnp.broadcast_to(vy, x.shape)
+    return PeopleMotion(x, y, vx, vy)
 
 
 def _coincident(people: Pedestrians) -> Bool[Array, "K"]:

@@ -403,13 +403,15 @@ def varying_leaves(scenarios: Sequence[Scenario]) -> dict[int, Array]:
     Raises:
         ValueError: the scenarios differ in more.
     """
-    first, *others = (jax.tree.flatten(replace(each, task=None, task_name="")) for each in scenarios)
-    if any(tree != first[1] for _, tree in others):
+    without_tasks = [replace(scenario, task=None, task_name="") for scenario in scenarios]
+    first_structure, *structures = map(jax.tree.structure, without_tasks)
+    if any(structure != first_structure for structure in structures):
         raise ValueError("scenarios: their static structure differs; run them separately.")
     varying = {}
-    for place, leaves in enumerate(zip(first[0], *(each for each, _ in others), strict=True)):
-        if not all(leaf is leaves[0] or np.array_equal(np.asarray(leaf), np.asarray(leaves[0])) for leaf in leaves):
-            varying[place] = jnp.stack([jnp.asarray(leaf) for leaf in leaves])
+    for index, leaves in enumerate(zip(*map(jax.tree.leaves, without_tasks), strict=True)):
+        first = leaves[0]
+        if not all(leaf is first or np.array_equal(np.asarray(leaf), np.asarray(first)) for leaf in leaves):
+            varying[index] = jnp.stack([jnp.asarray(leaf) for leaf in leaves])
     return varying
 
 
