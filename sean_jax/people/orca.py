@@ -64,8 +64,8 @@ class Planes(NamedTuple):
 
 
 def _join(
-    any_numbers: Float[Array, "K+L N"], soft: Float[Array, "K N"], hard: Float[Array, "L N"]
-) -> Float[Array, "K+L N"]:
+    any_numbers: Float[Array, "M N"], soft: Float[Array, "K N"], hard: Float[Array, "L N"]
+) -> Float[Array, "M N"]:
     """Rows of soft half-planes and then of hard ones.
 
     They are written over any numbers that are no constant. If they were concatenated or written over zeros, XLA on a

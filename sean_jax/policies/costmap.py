@@ -156,8 +156,8 @@ def update_bits(packed: UInt8[Array, "X B"], window: Window, cells: Bool[Array, 
     return jax.lax.dynamic_update_slice(packed, in_bytes, (i, j // 8))
 
 
-def _unpack(packed: UInt8[Array, "X B"], window: Window) -> Bool[Array, "W W+8"]:
-    """The bits in the bytes of the window."""
+def _unpack(packed: UInt8[Array, "X B"], window: Window) -> Bool[Array, "W bits"]:
+    """The WINDOW + 8 bits of each row in the bytes of the window."""
     i, j = window.first[0], window.first[1]
     rows = jax.lax.dynamic_slice(packed, (i, j // 8), (WINDOW, WINDOW // 8 + 1))
     bits = jnp.unpackbits(rows, axis=1, bitorder="little")

@@ -180,8 +180,8 @@ def free_way(scenario: Scenario, state: State, motion: RobotMotion, people: Peop
 
 
 def _people_gap(
-    scenario: Scenario, state: State, x: Float[Array, "1+T P"], y: Float[Array, "1+T P"], people: PeopleMotion
-) -> Float[Array, "1+T P"]:
+    scenario: Scenario, state: State, x: Float[Array, "ticks P"], y: Float[Array, "ticks P"], people: PeopleMotion
+) -> Float[Array, "ticks P"]:
     """Gaps [m] between the robot at places (x, y) [m] and the nearest person, now and after each step."""
     people_now = predict_straight(nearest_people(state, MAX_PEOPLE), 1, 0.0)
     px = jnp.concatenate([people_now.x, people.x])[:, None]  # (1 + T, 1, K)

@@ -179,7 +179,7 @@ def _sweep(
                 runs = warp.lane <= time
             else:
                 runs = warp.lane > time - warp.side
-            new = tuple(map(partial(jnp.where, runs), new, old))
+            new = jnp.where(runs, new[0], old[0]), jnp.where(runs, new[1], old[1])
         for old_cell, new_cell in zip(old, new, strict=True):
             change = jnp.maximum(change, old_cell - new_cell)
         rows[slot] = new

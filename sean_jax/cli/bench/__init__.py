@@ -205,9 +205,9 @@ def images(options: BenchConfig, stack: Stack[Scenario], part: str, camera: str,
     """Time images alone, by size of the image; those of the part ``images`` by batch as well."""
     most = max(batches(options))
     pixels = most * IMAGE[0] * IMAGE[1]
-    cases = []
+    cases: list[tuple[int, int, int]] = []
     if part == "images":
-        cases = [(batch, *IMAGE) for batch in batches(options)]
+        cases += [(batch, *IMAGE) for batch in batches(options)]
     else:
         pixels //= 8
 
