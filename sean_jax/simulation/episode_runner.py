@@ -409,8 +409,7 @@ def varying_leaves(scenarios: Sequence[Scenario]) -> dict[int, Array]:
         raise ValueError("scenarios: their static structure differs; run them separately.")
     varying = {}
     for index, leaves in enumerate(zip(*map(jax.tree.leaves, without_tasks), strict=True)):
-        first = leaves[0]
-        if not all(leaf is first or np.array_equal(np.asarray(leaf), np.asarray(first)) for leaf in leaves):
+        if not all(leaf is leaves[0] or np.array_equal(np.asarray(leaf), np.asarray(leaves[0])) for leaf in leaves):
             varying[index] = jnp.stack([jnp.asarray(leaf) for leaf in leaves])
     return varying
 
