@@ -189,6 +189,7 @@ def _sweep(
 def _settle_row(rule: Callable, warp: Warp, rows: Rows, time: int, read_cost: Callable, order: CostOrder) -> Cells:
     """The two cells of a thread's row by their neighbors, the left cell first."""
     side = warp.side
+    index = order.first + time * order.down  # of the left cell's cost
     above = rows[(time - 1) % side]
     cells = rows[time % side]
     below = rows[(time + 1) % side]
@@ -208,7 +209,6 @@ def _settle_row(rule: Callable, warp: Warp, rows: Rows, time: int, read_cost: Ca
         below = tuple(jnp.where(is_last_row, warp.far, value) for value in below)
 
     # The right cell has the new value of the left one.
-    index = order.first + time * order.down
     vertical = tuple(map(jnp.minimum, above, below))
     horizontal = jnp.minimum(left, cells[1])
     cost = read_cost(index)
