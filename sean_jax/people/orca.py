@@ -118,7 +118,8 @@ def _planes_of_others(
     share = jnp.where(is_robot, 1.0, 0.5)
     along_normal = nx * vx + ny * vy
     c = along_normal + share * out
-    return Planes(nx, ny, jnp.where(avoided, c, UNBOUNDED))
+    c = jnp.where(avoided, c, UNBOUNDED)
+    return Planes(nx, ny, c)
 
 
 def _others(people: Pedestrians, n_robots: int) -> tuple[Int[Array, "K N"], Bool[Array, "K 1"]]:

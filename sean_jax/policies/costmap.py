@@ -391,7 +391,9 @@ def social_costs(params: CostmapParams, people: Pedestrians, window: Window) -> 
     x, y = cell_middles(window)
 
     def person(position: Array, velocity: Array, present: Array) -> Array:
-        cost = proxemic_cost(params, x - position[0], y - position[1], velocity[0], velocity[1])
+        dx = x - position[0]
+        dy = y - position[1]
+        cost = proxemic_cost(params, dx, dy, velocity[0], velocity[1])
         return jnp.where(present, cost, 0.0)
 
     costs = jax.vmap(person)(people.position, people.velocity, people.present)

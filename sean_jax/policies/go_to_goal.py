@@ -164,7 +164,8 @@ def _car_speed(
 ) -> Float[Array, ""]:
     """The speed [m/s] of a car in a curve [1/m], which curves, people in these directions [rad] and the goal limit."""
     model = scenario.robot
-    curve_speed = jnp.sqrt(LATERAL_ACCELERATION / jnp.maximum(jnp.abs(curvature), 1e-3))
+    sharpness = jnp.maximum(jnp.abs(curvature), 1e-3)
+    curve_speed = jnp.sqrt(LATERAL_ACCELERATION / sharpness)
     to_goal = _to_goal(observation)
     top_speed = model.max_speed * jnp.clip(to_goal / 1.0, 0.2, 1.0)
     free_ahead = _free_share(observation, direction, jnp.zeros_like(curvature))

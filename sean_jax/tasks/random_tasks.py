@@ -191,7 +191,8 @@ def choose_pair(
     walk = jax.vmap(over_starts, in_axes=(None, None, 0, 0))(navigation, starts, goals, rows)  # (D, C)
     goal_cost = goal_cost + _crowded(pedestrians, goals)
     start_cost = start_cost + _crowded(pedestrians, starts)
-    cost = _walk_cost(scenario, walk) + goal_cost[:, None] + start_cost[None, :]
+    walk_cost = _walk_cost(scenario, walk)
+    cost = walk_cost + goal_cost[:, None] + start_cost[None, :]
 
     # Of pairs without a cost any, otherwise the one of the lowest cost.
     chance = jax.random.uniform(key, cost.shape, float)

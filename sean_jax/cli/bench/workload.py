@@ -90,7 +90,8 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Obstacle
         preferred_speed=single["preferred"],
         robot_distance=jnp.zeros(people, float),
     )
-    return pedestrians, _grid(people, single) if walls else None, exact
+    grid = _grid(people, single) if walls else None
+    return pedestrians, grid, exact
 
 
 def _free_places(people: int, center: np.ndarray, half: np.ndarray, random: np.random.Generator) -> np.ndarray:
