@@ -15,7 +15,8 @@ DENSITY = 0.1  # people per m2
 
 def side(people: int) -> float:
     """Side [m] of the square hall for so many people."""
-    return float(np.sqrt(people / DENSITY))
+    area = people / DENSITY  # m2
+    return float(np.sqrt(area))
 
 
 def boxes(people: int, walls: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -90,8 +91,7 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Obstacle
         preferred_speed=single["preferred"],
         robot_distance=jnp.zeros(people, float),
     )
-    grid = _grid(people, single) if walls else None
-    return pedestrians, grid, exact
+    return pedestrians, _grid(people, single) if walls else None, exact
 
 
 def _free_places(people: int, center: np.ndarray, half: np.ndarray, random: np.random.Generator) -> np.ndarray:
