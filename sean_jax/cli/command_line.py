@@ -49,7 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _mute_orbax()
     if traced := TRACEBACK in words:
         words.remove(TRACEBACK)
-    code, received = STOPPED, []
+    code = STOPPED
+    received = []
     try:
         with interrupts.interruptible() as received:
             code = _main(words, traced)
@@ -114,7 +115,8 @@ def _execute(words: list[str]) -> int:
     """Parse the words of a command and execute it."""
     name = _name(words)
     _refuse_empty(words)
-    model, word = COMMANDS[name], words[0]
+    model = COMMANDS[name]
+    word = words[0]
     parsed = flags.parse(name, model, words[1:], configurable=word in CONFIGURABLE, trust=word in READERS)
     from sean_jax.cli import xla_flags
     from sean_jax.config import user_parts
@@ -192,7 +194,8 @@ def _summary(text: str | None) -> str:
 
 def _help(group: str = "") -> str:
     """The commands, or the commands of a group, a line each."""
-    words, sean = _words(group), f"sean {group}".strip()
+    words = _words(group)
+    sean = f"sean {group}".strip()
     width = max(map(len, words))
     lines = [f"  {word:<{width}}  {summary}" for word, summary in words.items()]
     about = GROUPS.get(group, "Social robot navigation in JAX: simulate, measure, report.")
@@ -209,7 +212,8 @@ def _name(words: list[str]) -> str:
     group = words[0] if words[0] in GROUPS else ""
     name = " ".join(words[:2] if group else words[:1])
     if name not in COMMANDS:
-        word, known = name.removeprefix(group).strip(), _words(group)
+        word = name.removeprefix(group).strip()
+        known = _words(group)
         cure = suggest(word, known) or f"; `{f'sean {group}'.strip()} --help` describes them."
         raise InputError(f"{group and f'{group}: '}'{word}' is not one of {', '.join(known)}{cure}")
     return name

@@ -72,7 +72,8 @@ def read_config(path: Path, check: bool = True) -> SavedConfig:
         if check and "config" in content and key not in RECORDED:
             raise InputError(f"{path}: {key}: stands beside config, where nothing reads it; write it into config.")
 
-    hashes, copies = _texts(path, content, "sha256", "digest"), _texts(path, content, "copies", "copy")
+    hashes = _texts(path, content, "sha256", "digest")
+    copies = _texts(path, content, "copies", "copy")
     code = {name: digest for name, digest in hashes.items() if name.endswith(".py")}
     if check:
         _check_files(path, {name: digest for name, digest in hashes.items() if name not in code})
@@ -144,7 +145,8 @@ def read_episodes(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
     Raises:
         FileError: the file cannot be read, its episodes do not count from 0, or a value is out of range.
     """
-    rows, name = files.read_rows(path), files.short_name(path)
+    rows = files.read_rows(path)
+    name = files.short_name(path)
     head = next(rows, [])
     for column in ("episode", "task", "completed", "seconds"):
         if column not in head:
