@@ -44,9 +44,13 @@ def o_space_groups(
     number = votes.shape[0]
     index = jnp.arange(number, dtype=jnp.int32)
     start = Clusters(index, votes, present.astype(votes.dtype))
-    merge = lambda _, clusters: _merge(clusters, index, price)  # noqa: E731
+
+    def merge(_: Array, clusters: Clusters) -> Clusters:
+        return _merge(clusters, index, price)
+
     label, _, size = jax.lax.fori_loop(0, max(number - 1, 0), merge, start)
-    return jnp.where(present & (size[label] > 1), label, -1)
+    in_group = present & (size[label] > 1)
+    return jnp.where(in_group, label, -1)
 
 
 class Clusters(NamedTuple):
@@ -65,24 +69,30 @@ def _merge(clusters: Clusters, index: Int[Array, " N"], price: Float[Array, ""] 
     gap = center[:, None, :] - center[None, :, :]  # (N, N, 2) m
     alive = size > 0
     pairs = alive[:, None] & alive[None, :] & (index[:, None] < index[None, :])
-    together = jnp.where(pairs, size[:, None] + size[None, :], 1.0)
-    cost = jnp.where(pairs, size[:, None] * size[None, :] / together * (gap * gap).sum(-1), APART)
+    size_1 = size[:, None]
+    size_2 = size[None, :]
+    both_sizes = jnp.where(pairs, size_1 + size_2, 1.0)
+    added = size_1 * size_2 / both_sizes * (gap * gap).sum(-1)  # (N, N) m2
+    cost = jnp.where(pairs, added, APART)
 
     # A merger saves the price of one group, so even the cheapest one pays only below that price.
     best = jnp.argmin(cost)
     number = index.shape[0]
-    first, second = (best // number).astype(jnp.int32), (best % number).astype(jnp.int32)
+    first = (best // number).astype(jnp.int32)
+    second = (best % number).astype(jnp.int32)
     pays = cost.reshape(-1)[best] < price
 
     # The loop has a fixed length: a merger that does not pay is computed too, kept finite by 1, and discarded.
     total = jnp.where(pays, size[first] + size[second], 1.0)
-    mean = (size[first] * center[first] + size[second] * center[second]) / total
+    mean = (size[first] * center[first] + size[second] * center[second]) / total  # (2,) m
 
     # ``first`` is the lower index, so a cluster keeps the index of its first member.
     label = jnp.where(pays & (label == second), first, label)
     center = jnp.where(pays & (index == first)[:, None], mean[None, :], center)
-    merged_size = jnp.where(index == first, total, jnp.where(index == second, 0.0, size))
-    return Clusters(label, center, jnp.where(pays, merged_size, size))
+    without_second = jnp.where(index == second, 0.0, size)
+    merged_size = jnp.where(index == first, total, without_second)
+    size = jnp.where(pays, merged_size, size)
+    return Clusters(label, center, size)
 
 
 def match_groups(
@@ -107,25 +117,30 @@ def match_groups(
     in_estimated = (estimated[None, :] == index[:, None]) & present[None, :]  # (groups, people)
     in_annotated = (annotated[None, :] == index[:, None]) & present[None, :]
     common = (in_annotated[:, None, :] & in_estimated[None, :, :]).sum(-1, dtype=jnp.int32)  # (annotated, estimated)
-    size, true_size = in_estimated.sum(-1, dtype=jnp.int32), in_annotated.sum(-1, dtype=jnp.int32)
+    size = in_estimated.sum(-1, dtype=jnp.int32)
+    true_size = in_annotated.sum(-1, dtype=jnp.int32)
 
     # Rounding may lift T n just above a whole number, which ceil would raise by one person: hence 1e-4.
     real = true_size.astype(float)
     need = jnp.ceil(tolerance * real - 1e-4).astype(jnp.int32)
     spare = jnp.ceil((1 - tolerance) * real - 1e-4).astype(jnp.int32)
-    match = (common >= need[:, None]) & (size[None, :] - common <= spare[:, None])  # (annotated, estimated)
+    others = size[None, :] - common
+    match = (common >= need[:, None]) & (others <= spare[:, None])  # (annotated, estimated)
 
     # A person alone is no group, or scenes of loners would raise both scores.
     match = match & (true_size > 1)[:, None] & (size > 1)[None, :]
 
     # Each annotated group in turn takes the first estimated group that matches and is free.
     def take(free: Array, row: Array) -> tuple[Array, Array]:
-        hit = row & free
-        chosen = jnp.argmax(hit)
-        return free & ~(hit.any() & (index == chosen)), hit.any()
+        candidates = row & free
+        chosen = jnp.argmax(candidates)
+        taken = candidates.any() & (index == chosen)
+        return free & ~taken, candidates.any()
 
     _, hits = jax.lax.scan(take, jnp.ones(number, bool), match)
 
     # Counts add up over frames; precision and recall of one frame do not, and it may have no group at all.
-    counts = hits.sum(dtype=jnp.int32), (size > 1).sum(dtype=jnp.int32), (true_size > 1).sum(dtype=jnp.int32)
-    return jnp.stack(counts)
+    matched = hits.sum(dtype=jnp.int32)
+    estimates = (size > 1).sum(dtype=jnp.int32)
+    annotations = (true_size > 1).sum(dtype=jnp.int32)
+    return jnp.stack([matched, estimates, annotations])

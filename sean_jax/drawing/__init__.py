@@ -120,9 +120,14 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
     """
     frames = layers.first_episode(trajectory)
     if scenario is None:
-        environment, graph, names, time_step = empty_floor(frames), None, None, 0.1
+        environment = empty_floor(frames)
+        graph = None
+        names = None
+        time_step = 0.1
     else:
-        environment, graph, time_step = scenario.environment, graph_of(scenario), scenario.time_step
+        environment = scenario.environment
+        graph = graph_of(scenario)
+        time_step = scenario.time_step
         names = tuple(name for name, _ in scenario.situations)
     radius = layers.ROBOT_RADIUS if scenario is None else robots.radii(scenario)
     options: dict[str, Any] = dict(graph=graph, situations=names, time_step=time_step, robot_radius=radius)
@@ -140,7 +145,8 @@ def empty_floor(frames: Trajectory) -> Environment:
     people = np.asarray(frames.people).reshape(-1, 2)
     positions = np.concatenate([people, np.asarray(frames.position).reshape(-1, 2)])
     floor = jnp.asarray(np.concatenate([positions.min(0) - 2.0, positions.max(0) + 2.0]), float)
-    no_numbers, no_vectors = jnp.zeros(0, float), jnp.zeros((0, 2), float)
+    no_numbers = jnp.zeros(0, float)
+    no_vectors = jnp.zeros((0, 2), float)
     obstacles = Obstacles(center=no_vectors, half_extent=no_vectors, yaw=no_numbers, height=no_numbers)
     return Environment(
         floor=floor,
@@ -200,7 +206,8 @@ def _panels(count: int, panel_height: float, title: str) -> tuple[Figure, list[A
 
     columns = min(COLUMNS, count)
     rows = math.ceil(count / columns)
-    width, height = columns * PANEL, rows * (panel_height + 0.36) + 0.4
+    width = columns * PANEL
+    height = rows * (panel_height + 0.36) + 0.4
     figure = Figure(figsize=(width, height), facecolor=colors.PAPER)
     FigureCanvasAgg(figure)
     figure.text(0.12 / width, 1 - 0.2 / height, title, fontsize=13, color=colors.INK, weight="bold", va="center")
@@ -285,7 +292,8 @@ def floors_sheet(floors: Sequence[tuple[Environment, BehaviorGraph]]) -> Figure:
     for axes in panels:
         axes.set_axis_off()
     for axes, (environment, graph), ((x0, y0), (x1, y1)) in zip(panels, floors, corners, strict=False):
-        left, bottom = (x0 + x1 - width) / 2, y0 - 0.2
+        left = (x0 + x1 - width) / 2
+        bottom = y0 - 0.2
         axes.set(xlim=(left, left + width), ylim=(bottom, bottom + height), aspect="equal")
         axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, facecolor=colors.FLOOR, edgecolor=colors.MUTED))
         layers.draw_obstacles(axes, environment)
@@ -329,7 +337,8 @@ def _or_opening(place: Array, group: Array, groups: Groups) -> Array:
 
 def _legs(sets: Sets, row: Array) -> Array:
     """(L, K, MAX_CORNERS, 2) m: paths from each waypoint of a set's loops to the next one."""
-    waypoint, count = sets.waypoint[row], sets.waypoints[row][:, None]
+    waypoint = sets.waypoint[row]
+    count = sets.waypoints[row][:, None]
     next_index = jnp.arange(1, waypoint.shape[1] + 1)[None, :] % count  # (L, K)
     next_waypoint = jnp.take_along_axis(waypoint, next_index[..., None], axis=1)
     if sets.ways is None:

@@ -175,7 +175,8 @@ class _Caption:
         self.small_font = ImageFont.truetype(str(font), round(size / 32))
         self.flags = np.asarray(frames.situations, bool)
         self.situations = list(zip(situations, colors.situation_colors(situations), strict=True))
-        self.time_step, self.title = time_step, title
+        self.time_step = time_step
+        self.title = title
 
     def draw(self, draw: ImageDraw.ImageDraw, size: tuple[int, int], t: int) -> None:
         """Draw the caption of frame ``t`` on a picture of a size in pixels."""
@@ -190,7 +191,8 @@ class _Caption:
 
         # Situations in one row, or smaller in as many rows as needed.
         holding = [situation for flag, situation in zip(self.flags[t], self.situations, strict=True) if flag]
-        font, rows = self.font, [holding]
+        font = self.font
+        rows = [holding]
         if _row_length(draw, holding, font) > right - title_end:
             font = self.small_font
             rows = _break_rows(draw, holding, font, right - title_end)
@@ -235,7 +237,9 @@ class _Film:
     ) -> None:
         self.background = _Background(environment, graph, size)
         self.caption = _Caption(frames, situations, time_step, size, title)
-        self.metre, self.line, pixels = self.background.metre, self.background.line, self.background.pixels
+        self.metre = self.background.metre
+        self.line = self.background.line
+        pixels = self.background.pixels
         self.every = every
         self.tail = round(TAIL / time_step)
 
@@ -249,8 +253,10 @@ class _Film:
         # The robot and the other ones of its team.
         others = layers.other_robots(frames)
         radii = np.maximum(np.broadcast_to(robot_radius, 1 + len(others)) * self.metre, 2.0 * self.line)
-        self.radius, self.other_radii = float(radii[0]), radii[1:]
-        self.path, self.heading = pixels(frames.position), FLIP * frames.heading
+        self.radius = float(radii[0])
+        self.other_radii = radii[1:]
+        self.path = pixels(frames.position)
+        self.heading = FLIP * frames.heading
         self.path_colors = layers.step_colors(frames, situations)
         self.others = pixels(others[..., :2])
         self.other_noses = self.others + FLIP * others[..., 2:4] * (2.2 * self.other_radii[:, None, None])
@@ -299,7 +305,8 @@ class _Film:
     def _draw_people(self, draw: ImageDraw.ImageDraw, t: int) -> None:
         """Shoulders, with a tick along the heading."""
         for person in np.flatnonzero(self.present[t]):
-            place, end = self.people[t, person], self.heading_ends[t, person]
+            place = self.people[t, person]
+            end = self.heading_ends[t, person]
             draw.line([*place, *end], fill=colors.PERSON_EDGE, width=self.line)
             tick = end - place
             x, y = tick / max(float(np.hypot(*tick)), 1e-9)

@@ -82,7 +82,8 @@ def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, 
     # The floor with its margins [m], and a title above it [inches].
     x0, y0, x1, y1 = map(float, np.asarray(environment.floor))
     span = x1 - x0
-    bottom, top = y0 - FOOT * span, y1 + MARGIN * span
+    bottom = y0 - FOOT * span
+    top = y1 + MARGIN * span
     width_shown = span * (1 + 2 * MARGIN)
     floor_height = width * (top - bottom) / width_shown
     height = floor_height + (0.32 if title else 0.0)
@@ -124,7 +125,8 @@ def _box_outlines(boxes: Obstacles) -> list[np.ndarray]:
     """(4, 2) m, the corners of each box."""
     signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], float)
     u, v = np.moveaxis(np.asarray(boxes.half_extent)[:, None] * signs, -1, 0)  # (K, 4) each
-    cosine, sine = np.cos(boxes.yaw)[:, None], np.sin(boxes.yaw)[:, None]
+    cosine = np.cos(boxes.yaw)[:, None]
+    sine = np.sin(boxes.yaw)[:, None]
     center_x, center_y = boxes.center.T[..., None]
     x = center_x + cosine * u - sine * v
     y = center_y + sine * u + cosine * v
@@ -138,7 +140,8 @@ def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
         alone: name the nodes; otherwise colors are faint, for a background.
     """
     count = len(graph.names) or graph.nodes
-    position, radius = np.asarray(graph.position)[:count], np.asarray(graph.radius)[:count]
+    position = np.asarray(graph.position)[:count]
+    radius = np.asarray(graph.radius)[:count]
     is_group = np.asarray(graph.is_group, bool)[:count]
     color = colors.EDGE if alone else colors.FAINT_EDGE
     _draw_edges(axes, position, np.asarray(graph.flow), color)
@@ -152,7 +155,9 @@ def _draw_edges(axes: Axes, position: np.ndarray, flows: np.ndarray, color: str)
     """Lines between nodes at positions (M, 2) [m], by their flows (M, M), indices into FLOWS."""
     from matplotlib.collections import LineCollection
 
-    lines, styles, widths = [], [], []
+    lines = []
+    styles = []
+    widths = []
     for u, v in np.argwhere(np.triu(flows != NO_EDGE, 1)):
         flow = FLOWS[flows[u, v]]
         start, end = (position[v], position[u]) if flow == "backward" else (position[u], position[v])

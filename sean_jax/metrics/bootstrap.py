@@ -93,7 +93,8 @@ def aggregate_ratio(
     Raises:
         InputError: there is no episode, shapes differ, a number is not finite, or a denominator is negative.
     """
-    above, below = np.asarray(numerator, np.float64), np.asarray(denominator, np.float64)
+    above = np.asarray(numerator, np.float64)
+    below = np.asarray(denominator, np.float64)
     if above.shape != below.shape or above.ndim not in (1, 2) or not above.size:
         shapes = f"{above.shape} and {below.shape}"
         raise InputError(f"episodes: shapes {shapes} must be equal, (E,) or (E, 1 + S), with an E of 1 or more.")

@@ -44,17 +44,21 @@ def difference(first: np.ndarray, second: np.ndarray, paired: bool) -> Differenc
     """
     if paired:
         valid = np.isfinite(first) & np.isfinite(second)
-        a, b = first[valid], second[valid]
+        a = first[valid]
+        b = second[valid]
     else:
-        a, b = first[np.isfinite(first)], second[np.isfinite(second)]
+        a = first[np.isfinite(first)]
+        b = second[np.isfinite(second)]
     if not (len(a) and len(b)):
         return None
 
     if paired:
         gaps = b - a
-        mean, deviation = float(gaps.mean()), float(gaps.std(ddof=1)) if len(gaps) > 1 else 0.0
+        mean = float(gaps.mean())
+        deviation = float(gaps.std(ddof=1)) if len(gaps) > 1 else 0.0
     else:
-        mean, deviation = float(b.mean() - a.mean()), _pooled_deviation(a, b)
+        mean = float(b.mean() - a.mean())
+        deviation = _pooled_deviation(a, b)
     low, high = _newcombe(a, b, paired) if _is_share(a, b) else _bootstrap(first, second, paired)
     return Difference(float(a.mean()), float(b.mean()), mean, low, high, deviation, p_value(a, b, paired))
 
@@ -119,7 +123,8 @@ def holm(p: Sequence[float]) -> list[float]:
     (1979).
     """
     tests = sorted((value, k) for k, value in enumerate(p) if math.isfinite(value))
-    largest, corrected = 0.0, [math.nan] * len(p)
+    largest = 0.0
+    corrected = [math.nan] * len(p)
     for rank, (value, k) in enumerate(tests):
         largest = max(largest, min(1.0, (len(tests) - rank) * value))
         corrected[k] = largest
@@ -145,7 +150,8 @@ def _bootstrap(first: np.ndarray, second: np.ndarray, paired: bool) -> tuple[flo
     if paired:
         estimate = aggregate(second - first, weights=_weights(len(first), 0))
         return float(estimate.low), float(estimate.high)
-    first_means, second_means = _resampled_means(first, 0), _resampled_means(second, 1)
+    first_means = _resampled_means(first, 0)
+    second_means = _resampled_means(second, 1)
     count = min(len(first_means), len(second_means))
     gaps = second_means[:count] - first_means[:count]
     low, high = interval(gaps[np.isfinite(gaps)])
@@ -154,7 +160,8 @@ def _bootstrap(first: np.ndarray, second: np.ndarray, paired: bool) -> tuple[flo
 
 def _resampled_means(values: np.ndarray, seed: int) -> np.ndarray:
     """(R,) means of the finite values in resamples; NaN without any."""
-    weights, finite = _weights(len(values), seed), np.isfinite(values)
+    weights = _weights(len(values), seed)
+    finite = np.isfinite(values)
     number = weights @ finite
     return np.where(number > 0, weights @ np.where(finite, values, 0.0), np.nan) / np.maximum(number, 1)
 
@@ -178,8 +185,10 @@ def _wilson(values: np.ndarray) -> tuple[float, float, float]:
 
 def _phi(a: np.ndarray, b: np.ndarray) -> float:
     """The correlation of paired shares, with Newcombe's correction for continuity."""
-    both, neither = float((a * b).sum()), float(((1 - a) * (1 - b)).sum())
-    only_a, only_b = float((a * (1 - b)).sum()), float(((1 - a) * b).sum())
+    both = float((a * b).sum())
+    neither = float(((1 - a) * (1 - b)).sum())
+    only_a = float((a * (1 - b)).sum())
+    only_b = float(((1 - a) * b).sum())
     sides = (both + only_a) * (only_b + neither) * (both + only_b) * (only_a + neither)
     product = both * neither - only_a * only_b
     if product > 0:

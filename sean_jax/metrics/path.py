@@ -76,7 +76,8 @@ def _efficiency(value: SampledPath) -> Array:
 
 
 def _update_still(value: SampledPath, before: Snapshot, after: Snapshot) -> SampledPath:
-    moved, passed = _moved(value, after), time_since_sample(after)
+    moved = _moved(value, after)
+    passed = time_since_sample(after)
     return _sample(value, after, moved, jnp.where(moved <= STILL * passed, passed, 0.0))
 
 
@@ -280,7 +281,8 @@ def _jerk_size(before: Snapshot, after: Snapshot, value: Smoothness) -> Array:
 
 
 def _add_jerk(value: Smoothness, before: Snapshot, after: Snapshot) -> Ratio:
-    weights, (amount, weight) = situation_weights(after), value.figure
+    weights = situation_weights(after)
+    (amount, weight) = value.figure
     return Ratio(amount + _jerk_size(before, after, value) * weights, weight + value.known * weights)
 
 

@@ -110,7 +110,8 @@ def obstacle_distance(snapshot: Snapshot) -> Float[Array, ""]:
     """Distance [m] from the robot's centre to the nearest obstacle, negative inside; 1000 where none is known."""
     if snapshot.obstacles is None:
         return jnp.full_like(snapshot.geodesic, NONE)
-    x, y = snapshot.position[0], snapshot.position[1]
+    x = snapshot.position[0]
+    y = snapshot.position[1]
     distances = jax.vmap(from_box, in_axes=(None, None, 0))(x, y, snapshot.obstacles)[0]
     return jnp.min(distances, initial=NONE)
 
@@ -266,7 +267,8 @@ def collision_time(
         vx, vy: (...) m/s, the relative velocity v.
         reach: m, sum of both radii; it broadcasts.
     """
-    speeds, product = vx * vx + vy * vy, x * vx + y * vy
+    speeds = vx * vx + vy * vy
+    product = x * vx + y * vy
     outside = x * x + y * y - reach * reach
     inner = product * product - speeds * outside
     meets = (product < 0.0) & (inner > 0.0) & (speeds > TINY)

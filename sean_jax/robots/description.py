@@ -160,7 +160,8 @@ def _check_build(path: Path, model: Any, data: Any, numerics: dict[str, float], 
 
 def _car_turn_limits(numbers: dict[str, float]) -> dict[str, float]:
     """The greatest turn rate and its change: at the top speed, by the steering."""
-    top_speed, wheelbase = numbers["max_speed"], numbers["wheelbase"]
+    top_speed = numbers["max_speed"]
+    wheelbase = numbers["wheelbase"]
     curvature = np.tan(numbers["max_steering_angle"]) / wheelbase
     curvature_rate = numbers["max_steering_rate"] / wheelbase
     return {"max_turn_rate": top_speed * curvature, "max_turn_acceleration": top_speed * curvature_rate}
@@ -170,7 +171,8 @@ def _drive(path: Path, model: Any) -> str:
     """The type of the drive, by the text ``drive`` of the file."""
     texts = {}
     for index in range(model.ntext):
-        begin, size = model.text_adr[index], model.text_size[index]
+        begin = model.text_adr[index]
+        size = model.text_size[index]
         text = bytes(model.text_data[begin : begin + size]).rstrip(b"\0").decode()
         texts[mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, index)] = text
     drive = texts.get("drive", "differential")
@@ -199,18 +201,21 @@ def _lateral(model: Any, numbers: dict[str, float]) -> Lateral:
     """The numbers of sideways motion, which leave ``numbers``."""
     speed = numbers.pop("max_lateral_speed")
     acceleration = numbers.pop("max_lateral_acceleration")
-    turn_gain, turn_torque = model.actuator_gainprm[2, 0], model.actuator_forcerange[2, 1]
+    turn_gain = model.actuator_gainprm[2, 0]
+    turn_torque = model.actuator_forcerange[2, 1]
     return Lateral(*map(_array, (speed, acceleration, turn_gain, turn_torque)))
 
 
 def _steering(path: Path, model: Any, data: Any, numbers: dict[str, float]) -> Steering:
-    rear, wheelbase = -to_base(model, data, data.xanchor[3])[0], numbers["wheelbase"]
+    rear = -to_base(model, data, data.xanchor[3])[0]
+    wheelbase = numbers["wheelbase"]
     if not 0.0 <= rear < wheelbase:
         raise FileError(
             f"{path}: its rear wheels lie {rear:g} m behind the base's hinge, but must be from 0 to less than the "
             f"wheelbase of {wheelbase:g} m."
         )
-    max_angle, max_rate = numbers["max_steering_angle"], numbers["max_steering_rate"]
+    max_angle = numbers["max_steering_angle"]
+    max_rate = numbers["max_steering_rate"]
     return Steering(*map(_array, (wheelbase, rear, max_angle, max_rate)))
 
 
@@ -295,7 +300,8 @@ def _check_range(path: Path, what: str, value: float, low: float, high: float, u
 
 def _mass_matrix(path: Path, model: Any) -> np.ndarray:
     """The diagonal of the mass matrix, which must be diagonal and independent of the pose."""
-    data, size = mujoco.MjData(model), model.nv
+    data = mujoco.MjData(model)
+    size = model.nv
     matrices = []
     for position in (np.zeros(size), np.array([1.0, -2.0, 0.7, 1.9, -0.4])[:size]):
         data.qpos[:] = position

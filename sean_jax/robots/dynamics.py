@@ -147,7 +147,8 @@ def touching(
         time_left: s, from the start of this physics step to the end of the control step.
         position: its first two are x and y [m].
     """
-    x, y = position[0], position[1]
+    x = position[0]
+    y = position[1]
     people = *surroundings.position.T, *surroundings.velocity.T, surroundings.present
     if surroundings.present.shape[0]:
         person = functools.partial(person_contact, model, surroundings.person_radius, time_left)
@@ -342,7 +343,8 @@ def kinematic_move(
         angle = (index + 0.5) * turn
         cosine, sine = rotate(heading[0], heading[1], jnp.cos(angle), jnp.sin(angle))
         if sideways is None:
-            vx, vy = chord * cosine, chord * sine
+            vx = chord * cosine
+            vy = chord * sine
         else:
             vx, vy = rotate(chord, sideways * share, cosine, sine)
 

@@ -131,7 +131,8 @@ def _end_of_drive(path: Path, drive: str, dynamics: str) -> np.ndarray:
     """(2,) m, where the drive of ``drive_briefly`` ends."""
     model = robots.load(path, dynamics)
     dtype = jnp.result_type(float)
-    no_vectors, no_numbers = jnp.zeros((0, 2), dtype), jnp.zeros(0, dtype)
+    no_vectors = jnp.zeros((0, 2), dtype)
+    no_numbers = jnp.zeros(0, dtype)
 
     # A drive reads only these fields of a scenario and a state.
     nobody = SimpleNamespace(position=no_vectors, velocity=no_vectors, present=jnp.zeros(0, bool))
@@ -151,10 +152,12 @@ def _end_of_drive(path: Path, drive: str, dynamics: str) -> np.ndarray:
     def run(start: Any, commands: Any) -> Any:
         return jax.lax.scan(advance, start, commands)[0]
 
-    speed, turn_rate = 0.5 * model.max_speed, 0.25 * model.max_turn_rate
+    speed = 0.5 * model.max_speed
+    turn_rate = 0.25 * model.max_turn_rate
     zero = jnp.zeros_like(speed)
     left = [zero] if drive == "omnidirectional" else []  # of a command ahead, to the left, turn rate
-    straight, curve = jnp.stack([speed, *left, zero]), jnp.stack([speed, *left, turn_rate])
+    straight = jnp.stack([speed, *left, zero])
+    curve = jnp.stack([speed, *left, turn_rate])
     start = model.place(model, jnp.zeros(2, dtype), jnp.asarray([1.0, 0.0], dtype))
     end = run(start, jnp.stack([straight] * 15 + [curve] * 15))
     return np.asarray(end.position, float)
@@ -214,7 +217,9 @@ def _as_wheel(body: ForeignBody, index: int) -> Wheel:
     link = body.links[index]
 
     # The largest round shape about the hinge is the wheel.
-    radius, width, middle = None, 0.02, link.place
+    radius = None
+    width = 0.02
+    middle = link.place
     for shape in _rigid_shapes(body, index):
         size = _round(shape, link)
         if size is not None and (radius is None or size[0] > radius):
@@ -262,7 +267,8 @@ def _round(shape: LinkShape, link: Link) -> tuple[float, float] | None:
     elif shape.kind == "box":
         axis = int(np.argmax(np.abs(shape.turn.T @ link.axis)))
         across = np.delete(shape.size, axis)
-        radius, width = float(across.max()), float(shape.size[axis])
+        radius = float(across.max())
+        width = float(shape.size[axis])
         is_square = across.min() >= (1.0 - ROUND_SHARE) * radius
         if not is_square or abs(shape.turn[:, axis] @ link.axis) < PARALLEL:
             return None
@@ -307,7 +313,9 @@ class _Base:
     """The planar base of a robot: its shapes, numbers and file."""
 
     def __init__(self, file: Path, body: ForeignBody, settings: ImportSettings):
-        self.file, self.body, self.settings = file, body, settings
+        self.file = file
+        self.body = body
+        self.settings = settings
         self.wheels = find_wheels(file, body, settings)
         self.drive = drive_of(file, body, self.wheels, settings)
         self.numbers: list[tuple[str, str, str]] = []
@@ -425,7 +433,8 @@ class _Base:
         rigid_links = (0, *(wheel.link for wheel in self.wheels))
         rigid_shapes = [shape for link in rigid_links for shape in _rigid_shapes(self.body, link)]
         points = _outlines(rigid_shapes) if rigid_shapes else all_points
-        farthest, reach = _distance(all_points), _distance(points)
+        farthest = _distance(all_points)
+        reach = _distance(points)
         if farthest > reach + 0.01 and self.settings.radius is None:
             self.notes.append(f"links that move reach {farthest:.3g} m from the origin, beyond the radius")
         self.top = float(points[:, 2].max()) if len(points) else 0.3
@@ -617,7 +626,8 @@ class _Base:
 
     def _rear(self) -> tuple[list[str], list[str]]:
         """The rear axle of a car."""
-        mass, radius = self._wheel_mass(self.fixed), self.wheel_radius or 0.0
+        mass = self._wheel_mass(self.fixed)
+        radius = self.wheel_radius or 0.0
         behind = max(0.0, -float(np.mean([wheel.place[0] for wheel in self.fixed])))
         spin = 0.5 * mass * radius**2
         servo = self._servo(spin + self.armature, 1.0)
@@ -656,7 +666,8 @@ class _Base:
         lines = []
         for shape in self.shapes:
             color = _row([*shape.color, 1.0])
-            size, place = _row(shape.size), _row(shape.place)
+            size = _row(shape.size)
+            place = _row(shape.place)
             turn = "" if shape.kind == "sphere" else f' zaxis="{_row(shape.turn[:, 2])}"'
             if shape.kind == "box":
                 turn = f' euler="0 0 {np.arctan2(shape.turn[1, 0], shape.turn[0, 0]):.6g}"'
@@ -696,7 +707,8 @@ class _Base:
             cameras = [_ForeignCamera(name, place, *_view(name, axes)) for name, place, axes in frames]
         if not cameras:
             place = np.array([self.front, 0.0, 0.9 * self.top])
-            right, up = np.array([0.0, -1.0, 0.0]), np.array([-0.0872, 0.0, 0.9962])
+            right = np.array([0.0, -1.0, 0.0])
+            up = np.array([-0.0872, 0.0, 0.9962])
             return _ForeignCamera("none in the file: in front", place, right, up)
         return min(cameras, key=lambda camera: (not camera.looks_ahead, "optical" in camera.name))
 

@@ -27,7 +27,9 @@ def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float
     position, velocity = motion
     gain, max_force = _servo(model)
     mass = diagonal(model)
-    cosine, sine = jnp.cos(position[2]), jnp.sin(position[2])
+    yaw = position[2]
+    cosine = jnp.cos(yaw)
+    sine = jnp.sin(yaw)
 
     # Servos push in the robot's frame.
     ahead, left = rotate(velocity[0], velocity[1], cosine, -sine)
@@ -35,9 +37,12 @@ def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float
     push = jnp.clip(gain * (targets - rates), -max_force, max_force)
     push_x, push_y = rotate(push[0], push[1], cosine, sine)
     push = jnp.stack([push_x, push_y, push[2]])
+
+    # The ground and the contacts act on the velocity that the servos alone would give.
     free = velocity + model.time_step * push / mass
     velocity = free + ground_impulse(model, touch, motion, free) / mass
-    return position + model.time_step * velocity, velocity
+    position = position + model.time_step * velocity
+    return position, velocity
 
 
 def mjx_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "3"]) -> Motion:
@@ -55,11 +60,15 @@ def ground_impulse(model: RobotModel, touch: Touch, motion: Motion, free: Float[
     position, velocity = motion
     # From the middle of the last step to that of this one the body turns its velocity along.
     turned = 0.5 * model.time_step * (velocity[2] + free[2])
-    x, y = rotate(free[0], free[1], jnp.cos(turned), jnp.sin(turned))
+    vx, vy = rotate(free[0], free[1], jnp.cos(turned), jnp.sin(turned))
+
+    # Friction limits the change of the velocity; contacts act after it.
     limit = model.friction * GRAVITY * model.time_step
-    dx, dy = clip_length(x - velocity[0], y - velocity[1], limit)
-    x, y = touch(position, velocity[0] + dx, velocity[1] + dy)
-    return jnp.stack([model.mass * (x - free[0]), model.mass * (y - free[1]), jnp.zeros_like(x)])
+    dx, dy = clip_length(vx - velocity[0], vy - velocity[1], limit)
+    vx, vy = touch(position, velocity[0] + dx, velocity[1] + dy)
+    impulse_x = model.mass * (vx - free[0])
+    impulse_y = model.mass * (vy - free[1])
+    return jnp.stack([impulse_x, impulse_y, jnp.zeros_like(vx)])
 
 
 def diagonal(model: RobotModel) -> Float[Array, "3"]:
@@ -72,4 +81,5 @@ def _servo(model: RobotModel) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     lateral = model.lateral
     assert isinstance(lateral, Lateral)
     gain = jnp.stack([model.servo_gain, model.servo_gain, lateral.turn_gain])
-    return gain, jnp.stack([model.servo_torque, model.servo_torque, lateral.turn_torque])
+    max_force = jnp.stack([model.servo_torque, model.servo_torque, lateral.turn_torque])
+    return gain, max_force

@@ -22,7 +22,8 @@ def with_bodies(scenario: Scenario, state: State) -> tuple[Scenario, State]:
     """
     if state.others is None or scenario.others is None:
         return scenario, state
-    others, models = state.others, scenario.others
+    others = state.others
+    models = scenario.others
 
     # A body of a person's radius stands nearer to the robot by what the other robot is larger.
     dx, dy = (others.position - state.robot.position[None, :]).T
@@ -44,8 +45,10 @@ def with_contacts(scenario: Scenario, state: State) -> State:
     """
     if state.others is None or scenario.others is None:
         return state
-    robot, model = state.robot, scenario.robot
-    others, models = state.others, scenario.others
+    robot = state.robot
+    model = scenario.robot
+    others = state.others
+    models = scenario.others
     x, y = (robot.position[None, :] - others.position).T
     nx, ny = unit(x, y)  # from the other to this robot
     gap = length(x, y) - models.radius - model.radius
@@ -131,7 +134,8 @@ def _join(first: Solids, second: Solids) -> Solids:
 
 def _colors(solids: Solids) -> list[Array]:
     """The colors of boxes, of cylinders and of spheres."""
-    boxes, cylinders = solids.boxes.shape[-2], solids.cylinders.shape[-2]
+    boxes = solids.boxes.shape[-2]
+    cylinders = solids.cylinders.shape[-2]
     return jnp.split(jnp.asarray(solids.color), [boxes, boxes + cylinders], axis=-2)
 
 

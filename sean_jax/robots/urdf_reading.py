@@ -117,7 +117,8 @@ def _link(path: Path, element: Element, joint: Element | None, parent: int, body
     if limit is not None:
         link.max_rate = _limit(path, limit, "velocity")
         link.max_torque = _limit(path, limit, "effort")
-        lower, upper = _limit(path, limit, "lower"), _limit(path, limit, "upper")
+        lower = _limit(path, limit, "lower")
+        upper = _limit(path, limit, "upper")
         link.max_angle = None if lower is None or upper is None else min(lower, upper)
     link.shapes = _shapes(path, element, link, body, colors)
     return link

@@ -171,7 +171,8 @@ def pixels_of_people(scenario: Scenario, state: State, camera: Camera) -> Int[Ar
     """
     bundles, cosine = bands(camera)
     view = jax.lax.stop_gradient(sensor_view(scenario, state, camera, camera.sees_robot))
-    distances, numbers = [], []
+    distances = []
+    numbers = []
     for band in bundles:
         to_body, body = search(view, band)
         distances.append(by_rows(band, to_body))
@@ -180,7 +181,8 @@ def pixels_of_people(scenario: Scenario, state: State, camera: Camera) -> Int[Ar
     in_range = (image >= camera.near) & (image <= camera.far)
 
     # People have the numbers after those of boxes, cylinders and spheres.
-    first_person, people = sum(view.counts[:3]), view.counts[3]
+    first_person = sum(view.counts[:3])
+    people = view.counts[3]
     person = jnp.where(in_range, jnp.concatenate(numbers) - first_person, -1).reshape(-1)
     is_person = person[:, None] == jnp.arange(people, dtype=person.dtype)[None, :]  # (pixels, N)
     return is_person.sum(0, dtype=jnp.int32)

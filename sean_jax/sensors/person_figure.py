@@ -66,7 +66,8 @@ def trace_figures(
     """
     # Rays are in the robot's axes, so people's looks are turned into them once, not each ray.
     index = jnp.maximum(person, 0)
-    heading, robot_heading = state.pedestrians.heading, state.robot.heading
+    heading = state.pedestrians.heading
+    robot_heading = state.robot.heading
     look = jnp.stack(rotate(heading[:, 0], heading[:, 1], robot_heading[0], -robot_heading[1]), -1)  # (N, 2)
     people = jnp.concatenate([look, view.people, left_foot(state)[:, None]], -1).T  # (5, N)
     look_x, look_y, x, y, foot = (column[index] for column in people)  # (tiles, rays) each
@@ -75,7 +76,8 @@ def trace_figures(
     point = along(rays, jnp.where(person >= 0, distance, 0.0))
     offset = Vector(point.x - x, point.y - y, point.z + view.height)
     direction = Vector(*(jnp.asarray(component, float) for component in rays.direction))
-    start, direction = _turned(offset, look_x, look_y), _turned(direction, look_x, look_y)
+    start = _turned(offset, look_x, look_y)
+    direction = _turned(direction, look_x, look_y)
 
     # Without the barrier XLA computes the turned ray again for each limb.
     start, direction, foot = jax.lax.optimization_barrier((start, direction, foot))
@@ -167,8 +169,11 @@ def _meet(start: Vector, direction: Vector, foot: Array, capsule: Capsule) -> tu
     axis = Vector(capsule.swing * foot, capsule.aside, capsule.rise)
 
     # |q + t d| across the axis is the radius: a quadratic equation for the distance t, whose first root counts.
-    aa, ad, aq = dot(axis, axis), dot(axis, d), dot(axis, q)
-    dd, dq = dot(d, d), dot(d, q)
+    aa = dot(axis, axis)
+    ad = dot(axis, d)
+    aq = dot(axis, q)
+    dd = dot(d, d)
+    dq = dot(d, q)
     qq = dot(q, q) - capsule.radius * capsule.radius
     a = jnp.maximum(aa * dd - ad * ad, 1e-6)
     b = aa * dq - aq * ad

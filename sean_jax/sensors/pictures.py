@@ -100,8 +100,10 @@ def _labels(scenario: Scenario, view: View, with_robot: bool) -> tuple[np.ndarra
     """Class and instance (bodies + 2,) by number in the view; the floor and the sky come last."""
     scenery_counts = _counts(scenario.environment.scenery.solids)
     robot_counts = _counts(scenario.robot.solids) if with_robot else (0, 0, 0)
-    people, obstacles = view.counts[3], sum(scenery_counts)
-    semantic, instance = [], []
+    people = view.counts[3]
+    obstacles = sum(scenery_counts)
+    semantic = []
+    instance = []
     first = people
     for scenery_count, robot_count in zip(scenery_counts, robot_counts, strict=True):
         semantic += [OBSTACLE] * scenery_count + [ROBOT] * robot_count
@@ -211,7 +213,8 @@ def _visible_surface(
     """The figures of people, and the surface along each ray: of a figure, or of what is behind the people."""
     without_people = dataclasses.replace(view, people=view.people[:0])
     to_body, body_normal = surface(without_people, bundle, behind)
-    people, first_person = view.counts[3], sum(view.counts[:3])
+    people = view.counts[3]
+    first_person = sum(view.counts[:3])
     if not people:
         return None, Surface(to_body, body_normal, jnp.zeros(behind.shape, bool))
 
@@ -244,7 +247,8 @@ def _sky(scenery: Scenery, axis: int, rise: Array) -> Array:
 
 def _over_ground(state: State, view: View, point: Vector) -> tuple[Array, Array]:
     """Points from the sensor [m] as (x, y) in the world."""
-    position, heading = state.robot.position, state.robot.heading
+    position = state.robot.position
+    heading = state.robot.heading
     x, y = rotate(point.x + view.place[0], point.y + view.place[1], heading[0], heading[1])
     return x + position[0], y + position[1]
 
@@ -274,7 +278,8 @@ def _beside_bodies(view: View, bundle: Rays, x: Array, y: Array) -> Array:
     falling = np.flatnonzero((bundle.direction[2] < 0.0).any(1))  # tiles
     if not len(falling):
         return jnp.ones_like(x)
-    first, end = falling[0], falling[-1] + 1
+    first = falling[0]
+    end = falling[-1] + 1
     light = _beside(view, x[first:end], y[first:end])
     return jnp.pad(light, ((first, len(x) - end), (0, 0)), constant_values=1.0)
 

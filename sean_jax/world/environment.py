@@ -225,7 +225,8 @@ def _settings(folder: Path) -> Settings:
 
 def _floor_problems(settings: Settings) -> list[files.Problem]:
     x_min, y_min, x_max, y_max = settings.floor
-    wide, deep = x_max - x_min, y_max - y_min
+    wide = x_max - x_min
+    deep = y_max - y_min
     if not (wide >= MIN_FLOOR_SIDE and deep >= MIN_FLOOR_SIDE):
         fault = "empty" if min(wide, deep) <= 0 else f"{wide:g} by {deep:g} m, too narrow to walk on"
         return [(("floor",), f"{list(settings.floor)} is {fault}; give x_min, y_min, x_max, y_max in this order")]
@@ -236,7 +237,8 @@ def _floor_problems(settings: Settings) -> list[files.Problem]:
 
 def _edges(boxes: np.ndarray, floor: tuple[float, ...]) -> np.ndarray:
     """(E, 6) boxes as in ``_boxes``, without height: beyond the edges of the floor that no boxes (W, 6) cover."""
-    lower, upper = np.array(floor[:2]), np.array(floor[2:])
+    lower = np.array(floor[:2])
+    upper = np.array(floor[2:])
     middle = (lower + upper) / 2
     half = (upper - lower) / 2
     edges = []
@@ -253,7 +255,8 @@ def _edges(boxes: np.ndarray, floor: tuple[float, ...]) -> np.ndarray:
 
 def _is_covered(start: Float[np.ndarray, "2"], way: Float[np.ndarray, "2"], boxes: Float[np.ndarray, "W 6"]) -> bool:
     """Whether boxes side by side cover the segment from a start along a way [m] (slab method, as for rays)."""
-    cosine, sine = np.cos(boxes[:, 4]), np.sin(boxes[:, 4])
+    cosine = np.cos(boxes[:, 4])
+    sine = np.sin(boxes[:, 4])
     half = boxes[:, 2:4] + MAX_SEAM
     dx, dy = (start - boxes[:, :2]).T
 
@@ -346,7 +349,8 @@ def _refusal(model: Any, data: Any, index: int, kind: str) -> str:
         return "is tilted; turn it about the vertical axis only"
     position = data.geom_xpos[index]
     half = model.geom_size[index]
-    bottom, top = position[2] - half[2], position[2] + half[2]
+    bottom = position[2] - half[2]
+    top = position[2] + half[2]
     if np.abs(position).max() > MAX_COORDINATE or half.max() > MAX_COORDINATE:
         return f"reaches farther than {MAX_COORDINATE:g} m; give metres"
     if half.min() < MIN_HALF_SIDE:
@@ -386,8 +390,12 @@ def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
     A capsule becomes a cylinder of the same extent. Geoms of other kinds and transparent geoms are left out.
     """
     kinds = mujoco.mjtGeom
-    boxes, cylinders, spheres = [], [], []
-    box_colors, cylinder_colors, sphere_colors = [], [], []
+    boxes = []
+    cylinders = []
+    spheres = []
+    box_colors = []
+    cylinder_colors = []
+    sphere_colors = []
     for index in geoms:
         color = _color(model, index)
         if color is None:
@@ -413,9 +421,11 @@ def _color(model: Any, index: int) -> list | None:
     """Color and pattern of a geom, by its material if it has one; None if it is transparent."""
     material = model.geom_matid[index]
     if material < 0:
-        name, rgba = model.geom(index).name, model.geom_rgba[index]
+        name = model.geom(index).name
+        rgba = model.geom_rgba[index]
     else:
-        name, rgba = model.mat(material).name, model.mat_rgba[material]
+        name = model.mat(material).name
+        rgba = model.mat_rgba[material]
     if rgba[3] < 0.5:
         return None
     pattern = PATTERN_OF.get(name.split("_")[0], "plain")

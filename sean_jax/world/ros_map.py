@@ -100,7 +100,8 @@ def _occupancy(settings: MapFile, shades: np.ndarray) -> np.ndarray:
     if settings.mode == "raw":
         return np.where(shades <= 100, shades, -1.0)
     share = shades / 255 if settings.negate else (255 - shades) / 255
-    low, high = settings.free_thresh, settings.occupied_thresh
+    low = settings.free_thresh
+    high = settings.occupied_thresh
     between = 99 * (share - low) / max(high - low, 1e-9) if settings.mode == "scale" else -1.0
     return np.where(share > high, 100.0, np.where(share < low, 0.0, between))
 
@@ -252,7 +253,8 @@ def _touches_covered(covered: np.ndarray, left: int, low: int, right: int, high:
     """(high - low, right - left) bool: cells of a box that are covered or have a covered cell around them."""
     window = covered[max(low - 1, 0) : high + 1, max(left - 1, 0) : right + 1] > 0
     around = np.zeros((high - low + 2, right - left + 2), bool)  # no copy of the whole map for each box
-    y, x = int(low == 0), int(left == 0)
+    y = int(low == 0)
+    x = int(left == 0)
     around[y : y + window.shape[0], x : x + window.shape[1]] = window
     shifts = [around[a : a + high - low, b : b + right - left] for a in range(3) for b in range(3)]
     return np.any(shifts, axis=0)
@@ -332,7 +334,8 @@ def rasterize(obstacles: Obstacles, raster: Raster) -> np.ndarray:
     inside = np.zeros((rows, columns), bool)
     boxes = (np.asarray(field, float) for field in (obstacles.center, obstacles.half_extent, obstacles.yaw))
     for (cx, cy), (hx, hy), yaw in zip(*boxes, strict=True):
-        cosine, sine = np.cos(yaw), np.sin(yaw)
+        cosine = np.cos(yaw)
+        sine = np.sin(yaw)
         reach_x = abs(cosine) * hx + abs(sine) * hy
         reach_y = abs(sine) * hx + abs(cosine) * hy
         near_y = np.abs(y - cy) < reach_y + 1e-9

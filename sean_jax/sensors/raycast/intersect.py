@@ -176,7 +176,8 @@ def _boxes_in_sight(boxes: Array, rays: Rays, reach: Array) -> Array:
 
 
 def _cylinders_in_sight(cylinders: Array, rays: Rays, reach: Array) -> Array:
-    radius, half_length = cylinders[:, 6], cylinders[:, 7]
+    radius = cylinders[:, 6]
+    half_length = cylinders[:, 7]
     over_ground = length(cylinders[:, 3], cylinders[:, 4]) * half_length  # m, of half the axis
     top = cylinders[:, 2] + jnp.abs(cylinders[:, 5]) * half_length + radius
     return _round_in_sight(reach, rays, cylinders, radius + over_ground, top)
@@ -208,7 +209,8 @@ def _in_sight(reach: Array, rays: Rays, table: Array, extent: Callable, away: Ar
     y = table[None, :, 1]
     possible = reach[:, None] >= away[None, :]
     for normal in (rays.left, rays.right):
-        nx, ny = normal[:, :1], normal[:, 1:]
+        nx = normal[:, :1]
+        ny = normal[:, 1:]
         possible &= nx * x + ny * y + extent(nx, ny) >= 0.0
     slope_min = rays.slope_min[:, None]
     return possible & ((slope_min <= 0.0) | (top[None, :] >= slope_min * away[None, :]))

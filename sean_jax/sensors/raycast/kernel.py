@@ -118,13 +118,15 @@ def _kernel(shape: KernelShape, index: Callable[[int], Any], *references: Any) -
     """One program: up to ``WIDTH`` rays of one tile of one scenario."""
     from jax.experimental import pallas
 
-    scenario, program = index(0), index(1)
+    scenario = index(0)
+    program = index(1)
     scenarios = references[-1].shape[0]
     inputs = 2 + 2 * len(shape.families)
     ray_table, view, *bodies = [operand.at[row(operand, scenario, scenarios)] for operand in references[:inputs]]
     outputs = references[inputs:]
 
-    radius, height = view[0], view[1]
+    radius = view[0]
+    height = view[1]
     beams = _beams_of_program(shape, ray_table, program)
     distance = ground(height, beams.direction.z, beams.inverse_rise)
     number = shape.floor + (distance >= MISS).astype(jnp.int32)

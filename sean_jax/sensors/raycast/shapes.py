@@ -32,14 +32,18 @@ def box_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     """Distance to an upright box, from outside (slab method)."""
     q = _from_ray(beams, _vector(row, 0))
     half = _vector(row, 3)
-    cosine, sine = row[6], row[7]
+    cosine = row[6]
+    sine = row[7]
 
     # In the box's frame a ray is between two parallel sides from (middle - inside) to (middle + inside).
     du, dv = to_frame(beams.direction.x, beams.direction.y, cosine, sine)
     inverse = Vector(_inverse(du), _inverse(dv), beams.inverse_rise)
     qu, qv = to_frame(q.x, q.y, cosine, sine)
     middle = Vector(qu * inverse.x, qv * inverse.y, q.z * inverse.z)
-    inside = Vector(half.x * jnp.abs(inverse.x), half.y * jnp.abs(inverse.y), half.z * jnp.abs(inverse.z))
+    inside_x = half.x * jnp.abs(inverse.x)
+    inside_y = half.y * jnp.abs(inverse.y)
+    inside_z = half.z * jnp.abs(inverse.z)
+    inside = Vector(inside_x, inside_y, inside_z)
 
     # It is in the box while it is between all three pairs of sides.
     enter = middle - inside
@@ -53,34 +57,40 @@ def cylinder_distance(row: Row, beams: Beams, radius: Array, height: Array) -> A
     """Distance to a cylinder along a unit vector with flat ends, from outside."""
     q = _from_ray(beams, _vector(row, 0))
     axis = _vector(row, 3)
-    radius, half_length = row[6], row[7]
+    radius = row[6]
+    half_length = row[7]
     d = beams.direction
 
-    # Across the axis the cylinder is a disc.
+    # Along the axis and across it.
     along_d = dot(axis, d)
     along_q = dot(axis, q)
     across_d = d - axis * along_d
     across_q = q - axis * along_q
+
+    # Across the axis the cylinder is a disc.
     square = dot(across_d, across_d)
     inverse_square = jnp.where(square > 1e-12, 1.0 / jnp.where(square > 1e-12, square, 1.0), 0.0)
     middle = dot(across_q, across_d) * inverse_square
     closest = across_q - across_d * middle
     free = radius * radius - dot(closest, closest)
     touches = free > 0.0
-    chord = _root(jnp.where(touches & (inverse_square > 0.0), free * inverse_square, 1.0))
+    chord_square = jnp.where(touches & (inverse_square > 0.0), free * inverse_square, 1.0)
+    chord = _root(chord_square)
 
     # Along the axis it is a slab, as in a box. A ray along the axis never leaves the round part.
     inverse = _inverse(along_d)
     round_part = jnp.where(inverse_square > 0.0, chord, MISS)
-    near = jnp.maximum(middle - round_part, along_q * inverse - half_length * jnp.abs(inverse))
-    far = jnp.minimum(middle + round_part, along_q * inverse + half_length * jnp.abs(inverse))
+    slab_middle = along_q * inverse
+    inside = half_length * jnp.abs(inverse)
+    near = jnp.maximum(middle - round_part, slab_middle - inside)
+    far = jnp.minimum(middle + round_part, slab_middle + inside)
     return _ahead(touches & (near <= far), near)
 
 
 def sphere_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     """Distance to a sphere, from outside."""
-    center = _vector(row, 0)
-    return _ball(_from_ray(beams, center), row[3], beams.direction)
+    center = _from_ray(beams, _vector(row, 0))
+    return _ball(center, row[3], beams.direction)
 
 
 def person_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
@@ -90,12 +100,14 @@ def person_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Arr
     shoulders = _ball(Vector(feet.x, feet.y, feet.z + SHOULDER), radius, d)
     head = _ball(Vector(feet.x, feet.y, feet.z + HEAD), HEAD_RADIUS, d)
     rounded = jnp.minimum(shoulders, head)
-    return jnp.minimum(_upright_cylinder(feet, beams, radius), rounded)
+    upright = _upright_cylinder(feet, beams, radius)
+    return jnp.minimum(upright, rounded)
 
 
 def low_person_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     """Distance to a person up to the shoulders: all that rays from below the shoulders meet if they do not rise."""
-    return _upright_cylinder(_feet(row, beams, height), beams, radius)
+    feet = _feet(row, beams, height)
+    return _upright_cylinder(feet, beams, radius)
 
 
 def _feet(row: Row, beams: Beams, height: Array) -> Vector:
@@ -112,8 +124,10 @@ def _upright_cylinder(q: Vector, beams: Beams, radius: Array) -> Array:
     y = q.y - middle * d.y
     free = radius * radius - (x * x + y * y)
     touches = (free > 0.0) & (beams.inverse_run > 0.0)
-    side = middle - _root(jnp.where(touches, free * beams.inverse_run, 1.0))
-    return jnp.where(touches & (side > 0.0) & (side * d.z - q.z <= SHOULDER), side, MISS)
+    chord_square = jnp.where(touches, free * beams.inverse_run, 1.0)
+    side = middle - _root(chord_square)
+    up = side * d.z - q.z
+    return jnp.where(touches & (side > 0.0) & (up <= SHOULDER), side, MISS)
 
 
 def _ball(q: Vector, radius: Array | float, d: Vector) -> Array:
@@ -122,7 +136,8 @@ def _ball(q: Vector, radius: Array | float, d: Vector) -> Array:
     closest = q - d * middle
     free = radius * radius - dot(closest, closest)
     touches = free > 0.0
-    distance = middle - _root(jnp.where(touches, free, 1.0))
+    chord_square = jnp.where(touches, free, 1.0)
+    distance = middle - _root(chord_square)
     return _ahead(touches, distance)
 
 
@@ -148,7 +163,8 @@ def _inverse(value: Array) -> Array:
 
 def box_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vector:
     """Normal of the side that the point is nearest to."""
-    cosine, sine = row[6], row[7]
+    cosine = row[6]
+    sine = row[7]
     u, v = to_frame(point.x - row[0], point.y - row[1], cosine, sine)
     w = point.z - row[2]
 
@@ -162,13 +178,16 @@ def box_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vector:
     nu = jnp.where(on_u, jnp.sign(u), 0.0)
     nv = jnp.where(~on_u & on_v, jnp.sign(v), 0.0)
     nw = jnp.where(on_u | on_v, 0.0, jnp.sign(w))
-    return Vector(cosine * nu - sine * nv, sine * nu + cosine * nv, nw)
+    nx = cosine * nu - sine * nv
+    ny = sine * nu + cosine * nv
+    return Vector(nx, ny, nw)
 
 
 def cylinder_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vector:
     """Normal of the round side or of the flat end."""
     axis = _vector(row, 3)
-    radius, half_length = row[6], row[7]
+    radius = row[6]
+    half_length = row[7]
     from_center = point - _vector(row, 0)
     along = dot(axis, from_center)
     at_end = jnp.abs(along) >= half_length * (1.0 - 1e-4)
@@ -191,7 +210,9 @@ def person_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vect
     x = point.x - row[0]
     y = point.y - row[1]
     up = point.z + height
-    in_head = up > 0.5 * (SHOULDER + radius + HEAD - HEAD_RADIUS)
+    neck = 0.5 * (SHOULDER + radius + HEAD - HEAD_RADIUS)  # m, halfway from the shoulders to the head
+    in_head = up > neck
     size = jnp.where(in_head, HEAD_RADIUS, radius)
-    z = jnp.where(in_head, up - HEAD, jnp.maximum(up - SHOULDER, 0.0))
+    over_shoulder = jnp.maximum(up - SHOULDER, 0.0)
+    z = jnp.where(in_head, up - HEAD, over_shoulder)
     return Vector(x / size, y / size, z / size)

@@ -29,4 +29,6 @@ def dot(a: Vector, b: Vector) -> Array:
 
 def to_frame(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:
     """(x, y) in a frame that is turned counter-clockwise by the angle of that cosine and sine."""
-    return cosine * x + sine * y, cosine * y - sine * x
+    u = cosine * x + sine * y
+    v = cosine * y - sine * x
+    return u, v

@@ -368,7 +368,8 @@ def _world(
 def _free_area(environment: Environment) -> float | None:
     """The floor [m2] where a person has room; None if the widest robot cannot go from everywhere to everywhere."""
     x0, y0, x1, y1 = np.asarray(environment.floor, float)
-    x, y = np.arange(x0 + CELL / 2, x1, CELL), np.arange(y0 + CELL / 2, y1, CELL)
+    x = np.arange(x0 + CELL / 2, x1, CELL)
+    y = np.arange(y0 + CELL / 2, y1, CELL)
     points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     clearance = np.minimum(*signed_distances_on_host(environment, points)).reshape(len(x), len(y))
     passable = clearance >= ROBOT + CELL / 2

@@ -122,7 +122,8 @@ class Floor:
         covered = 0.0
         while covered < density * area:
             height, color = (SHELF, METAL) if draw.random() < 0.4 else (DESK, WOOD)
-            long, short = draw.uniform(0.4, 0.8), draw.uniform(0.2, 0.4)
+            long = draw.uniform(0.4, 0.8)
+            short = draw.uniform(0.2, 0.4)
             hx, hy = (long, short) if draw.random() < 0.5 else (short, long)
             place = self._furniture_place((low[0] + hx, low[1] + hy), (high[0] - hx, high[1] - hy), hx, hy)
             if place is None:
@@ -147,7 +148,8 @@ class Floor:
 
 def _reach(hx: float, hy: float, yaw: float) -> tuple[float, float]:
     """Half extents [m] along x and y of a turned box."""
-    cosine, sine = abs(math.cos(yaw)), abs(math.sin(yaw))
+    cosine = abs(math.cos(yaw))
+    sine = abs(math.sin(yaw))
     return cosine * hx + sine * hy, sine * hx + cosine * hy
 
 
@@ -156,7 +158,8 @@ def rooms(floor: Floor, corridor: float, door: float, room: float, furniture: fl
     if corridor >= floor.depth:
         raise ValueError("there is no place for rooms")
     draw = floor.generator
-    lower, upper = (floor.depth - corridor) / 2, (floor.depth + corridor) / 2
+    lower = (floor.depth - corridor) / 2
+    upper = (floor.depth + corridor) / 2
     for low, high, wall in ((0.0, lower, lower), (upper, floor.depth, upper)):
         # The walls between rooms, up to the corridor's.
         count = max(2, round(floor.width / room))
@@ -192,7 +195,8 @@ def office(floor: Floor, aisle: float, desks: float, furniture: float) -> None:
         for j in range(rows):
             if floor.generator.random() >= desks:
                 continue
-            x, y = left + i * step, low + j * step
+            x = left + i * step
+            y = low + j * step
             for side in (-1, 1):
                 floor.add(x, y + side * (half + WALL / 2) / 2, half, (half - WALL / 2) / 2, DESK, WOOD)
             floor.add(x, y, half, WALL / 2, SCREEN, CLOTH)
@@ -220,7 +224,8 @@ def aisles(floor: Floor, aisle: float, cross: float, shelf: float) -> None:
 def lobby(floor: Floor, lane: float, columns: float, furniture: float) -> None:
     """A hall with a counter, lanes of posts before it where people queue, columns and benches."""
     draw = floor.generator
-    width, depth = floor.width, floor.depth
+    width = floor.width
+    depth = floor.depth
     half = float(draw.uniform(1.5, 0.2 * width))
     middle = float(draw.uniform(half + 2.0, width - half - 2.0))
     top = depth - float(draw.uniform(1.5, 2.2))

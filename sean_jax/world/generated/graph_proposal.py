@@ -113,9 +113,11 @@ class _Graph:
 def _cells(environment: Environment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centers (K, 2) m of possible cells of nodes, their clearance (K,) m, and pairs (L, 2) of neighboring cells."""
     x0, y0, x1, y1 = np.asarray(environment.floor, float)
-    width, depth = x1 - x0, y1 - y0
+    width = x1 - x0
+    depth = y1 - y0
     size = CELL * max(1.0, math.sqrt(width * depth / CELL**2 / MAX_CELLS))
-    columns, rows = max(1, round(width / size)), max(1, round(depth / size))
+    columns = max(1, round(width / size))
+    rows = max(1, round(depth / size))
     x = x0 + (np.arange(columns) + 0.5) * width / columns
     y = y0 + (np.arange(rows) + 0.5) * depth / rows
     middle = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
@@ -134,7 +136,8 @@ def _cells(environment: Environment) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 def _clusters(ends: np.ndarray) -> list[np.ndarray]:
     """(2,) m the middle of each place where many of the ends (K, 2) [m] are, the fullest first."""
-    middles, remaining = [], ends
+    middles = []
+    remaining = ends
     while len(remaining) and len(middles) < MAX_NODES // 2:
         near = np.linalg.norm(remaining[:, None] - remaining[None, :], axis=-1) < MERGE
         fullest = near[np.argmax(near.sum(1))]

@@ -65,8 +65,10 @@ def tangents(arcs: CornerArcs, place: Float[Array, "2"], radius: Float[Array, ""
     From inside a circle the tangent starts at the nearest point on the circle, and has no length. With ``arriving``
     the travel is from the place to the arcs, else from the arcs to the place.
     """
-    cx, cy = arcs.corner[:, 0], arcs.corner[:, 1]
-    dx, dy = place[0] - cx, place[1] - cy
+    cx = arcs.corner[:, 0]
+    cy = arcs.corner[:, 1]
+    dx = place[0] - cx
+    dy = place[1] - cy
     distance = length(dx, dy)
     square = distance * distance - radius * radius  # of the tangent's length
     inside = square < NEAR

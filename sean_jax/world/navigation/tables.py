@@ -402,8 +402,10 @@ def common_tangents(arcs: CornerArcs, radius: float) -> CommonTangents:
 
 
 def _rotated(vectors: Float[np.ndarray, "*batch 2"], angle: Float[np.ndarray, "..."]) -> Float[np.ndarray, "*batch 2"]:
-    x, y = vectors[..., 0], vectors[..., 1]
-    cosine, sine = np.cos(angle), np.sin(angle)
+    x = vectors[..., 0]
+    y = vectors[..., 1]
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
 
 

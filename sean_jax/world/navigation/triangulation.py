@@ -227,7 +227,8 @@ def _crosses_any(corners: Float[np.ndarray, "K 2"], a: int, b: int, edges: Int[n
     apart = (c != a) & (c != b) & (d != a) & (d != b)
 
     # They cross if the ends of each lie on different sides of the other.
-    start, end = corners[a], corners[b]
+    start = corners[a]
+    end = corners[b]
     starts, ends = corners[c], corners[d]  # (E, 2)
     crosses = _left_of(start, end, starts) != _left_of(start, end, ends)
     crosses &= _left_of(starts, ends, start) != _left_of(starts, ends, end)
