@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
 
-COLUMNS, PANEL = 5, 3.2  # of a sheet, and inches of a panel's width
+COLUMNS = 5  # of a sheet
+PANEL = 3.2  # inches, width of a panel
 TRAIL = 40.0  # s, length of people's trails
 PANEL_MARGIN = 2.0  # m, shown around the points of a set
 MIN_PANEL = 11.0  # m, shown from side to side at least

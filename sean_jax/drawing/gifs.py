@@ -28,9 +28,11 @@ MAX_SAMPLES = 24  # pictures from which the palette is made
 SAMPLE = 500_000  # pixels that stand for theirs; all ten million took most of the time of a film
 TAIL = 2.0  # s, of the line behind a person
 SUPERSAMPLING = 2  # a camera's pictures are rendered with this many times the pixels each way, then averaged
-RATE, SPEED = 5.0, 4.0  # pictures a second of a camera's film; films are as many times faster than the episode
+RATE = 5.0  # pictures a second of a camera's film
+SPEED = 4.0  # films are as many times faster than the episode
 LAST = 2.0  # s, for which the last picture is shown
-WIDTH, HEIGHT = 320, 240  # pixels, of a camera that is named
+WIDTH = 320  # pixels, of a camera that is named
+HEIGHT = 240
 
 
 def animate(
@@ -134,7 +136,9 @@ def _fewer_pixels(pixels: np.ndarray) -> np.ndarray:
 FLIP = np.array([1.0, -1.0])  # y points down in pictures
 BODY_ANGLES = np.linspace(0.0, 2.0 * np.pi, 25)[:-1]
 BODY = np.stack([layers.DEPTH * np.cos(BODY_ANGLES), np.sin(BODY_ANGLES)], 1)  # (24, 2) ahead and aside
-START_RADIUS, GOAL_RADIUS, TARGET_RADIUS = 0.42, 0.75, 0.28  # m
+START_RADIUS = 0.42  # m
+GOAL_RADIUS = 0.75  # m
+TARGET_RADIUS = 0.28  # m
 
 
 class _Background:

@@ -26,7 +26,8 @@ ROBOT_RADIUS = 0.16  # m, Kuri's, where no scenario tells another
 HALO = 0.7  # m, around a robot: at its true size alone it would be hard to find
 MAX_BAND = 0.45, 0.024  # of the nodes' mean radius, and of the floor's width: the band of the edge with most people
 MIN_BAND = 0.002  # of the floor's width: the bands of edges with hardly any people
-MARGIN, FOOT = 0.02, 0.075  # of the floor's width, around it and below it
+MARGIN = 0.02  # of the floor's width, around it
+FOOT = 0.075  # of the floor's width, below it
 
 
 def one_episode(frames: Trajectory) -> Trajectory:
@@ -54,7 +55,9 @@ def situation_names(frames: Trajectory, names: Sequence[str] | None) -> tuple[st
     number = np.shape(frames.situations)[-1]
     if names is None:
         paper = tuple(colors.SITUATION_COLORS)
-        return paper if number == len(paper) else tuple(f"situation_{index}" for index in range(1, number + 1))
+        if number == len(paper):
+            return paper
+        return tuple(f"situation_{index}" for index in range(1, number + 1))
     if len(names) != number:
         raise InputError(f"situations: {len(names)} names for frames with {number} situations; give one name for each.")
     return tuple(names)

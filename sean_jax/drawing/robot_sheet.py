@@ -60,7 +60,9 @@ def _draw_numbers(axes: Axes, robot: ImportedRobot) -> None:
 
 
 def _short(text: str, length: int) -> str:
-    return text if len(text) <= length else text[: length - 3] + "..."
+    if len(text) <= length:
+        return text
+    return text[: length - 3] + "..."
 
 
 def _draw_outline(axes: Axes, shape: LinkShape, columns: tuple[int, int]) -> None:

@@ -29,7 +29,9 @@ class Difference(NamedTuple):
         """Cohen's d, for paired episodes d_z: the difference in standard deviations, infinite if there is none."""
         if self.difference == 0.0:
             return 0.0
-        return self.difference / self.deviation if self.deviation > 0 else math.copysign(math.inf, self.difference)
+        if self.deviation > 0:
+            return self.difference / self.deviation
+        return math.copysign(math.inf, self.difference)
 
 
 def difference(first: np.ndarray, second: np.ndarray, paired: bool) -> Difference | None:
@@ -72,7 +74,9 @@ def p_value(a: np.ndarray, b: np.ndarray, paired: bool) -> float:
     if np.all(a == b) if paired else np.ptp(np.concatenate([a, b])) == 0:
         return math.nan
     if _is_share(a, b):
-        return _mcnemar(b - a) if paired else _fisher(a, b)
+        if paired:
+            return _mcnemar(b - a)
+        return _fisher(a, b)
     p, smallest = _student(b - a) if paired else _welch(a, b)
     return float(min(max(p, smallest), 1.0))
 
@@ -111,7 +115,9 @@ def _two_sided(mean: float, square: float, freedom: float) -> float:
     """The p-value of a mean of this squared standard error; 0 without any."""
     from scipy import stats
 
-    return 2 * float(stats.t.sf(abs(mean) / math.sqrt(square), freedom)) if square else 0.0
+    if square:
+        return 2 * float(stats.t.sf(abs(mean) / math.sqrt(square), freedom))
+    return 0.0
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -138,7 +144,9 @@ def _is_share(a: np.ndarray, b: np.ndarray) -> bool:
 def _pooled_deviation(a: np.ndarray, b: np.ndarray) -> float:
     freedom = len(a) + len(b) - 2
     squares = ((a - a.mean()) ** 2).sum() + ((b - b.mean()) ** 2).sum()
-    return math.sqrt(squares / freedom) if freedom else 0.0
+    if freedom:
+        return math.sqrt(squares / freedom)
+    return 0.0
 
 
 @functools.lru_cache(maxsize=2)  # 160 MB each at most
@@ -193,4 +201,6 @@ def _phi(a: np.ndarray, b: np.ndarray) -> float:
     product = both * neither - only_a * only_b
     if product > 0:
         product = max(product - len(a) / 2, 0.0)
-    return product / math.sqrt(sides) if sides else 0.0
+    if sides:
+        return product / math.sqrt(sides)
+    return 0.0

@@ -25,7 +25,8 @@ MOVING = 5e-4  # m/s: SEAN rounds the robot's speed to three decimals
 NONE = 1e3  # m, distance to people or obstacles if there are none
 SPACE = 0.5  # m, of the iGibson social navigation challenge
 HORIZON = 30.0  # s: later collisions count as one then
-STRENGTH, RANGE = 7.0, 0.3  # m/s2, m: V0 / sigma and sigma of Helbing & Molnar (1995), circular
+STRENGTH = 7.0  # m/s2, V0 / sigma of Helbing & Molnar (1995), circular
+RANGE = 0.3  # m, their sigma
 LOOKING = 0.9961947  # cosine of 5 degrees (Arena-Rosnav)
 VISIBLE = 3.6  # m, the end of social distance [Hall]: people farther away do not meet the robot
 

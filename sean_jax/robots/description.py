@@ -290,7 +290,9 @@ def _numerics(path: Path, model: Any, build: Build) -> dict[str, float]:
 def _missing(numerics: dict[str, float], build: Build) -> list[str]:
     """A clause that names all missing numbers, if there are any."""
     missing = [f'<numeric name="{key}" data="..."/>' for key in build.numerics if key not in numerics]
-    return [f"<custom> lacks {' and '.join(missing)}, which every robot needs"] if missing else []
+    if missing:
+        return [f"<custom> lacks {' and '.join(missing)}, which every robot needs"]
+    return []
 
 
 def _check_range(path: Path, what: str, value: float, low: float, high: float, unit: str) -> None:
@@ -528,8 +530,12 @@ def base_rotation(model: Any, data: Any) -> np.ndarray:
 
 def _pivot(model: Any) -> int:
     """The joint that turns the base about the vertical: a freejoint, or the third in the plane."""
-    return 0 if model.jnt_type[0] == int(mujoco.mjtJoint.mjJNT_FREE) else 2
+    if model.jnt_type[0] == int(mujoco.mjtJoint.mjJNT_FREE):
+        return 0
+    return 2
 
 
 def _label(joint: Any, index: int) -> str:
-    return f"'{joint.name}'" if joint.name else f"number {index + 1}"
+    if joint.name:
+        return f"'{joint.name}'"
+    return f"number {index + 1}"

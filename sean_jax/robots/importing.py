@@ -114,7 +114,9 @@ def _read(file: Path) -> ForeignBody:
     """The links of a file, by its root element."""
     text = read_text(file, MAX_MESH)
     is_mjcf = re.search(r"<mujoco[\s>]", text) and "<robot" not in text
-    return foreign_links.from_mjcf(file) if is_mjcf else urdf_reading.read_urdf(file)
+    if is_mjcf:
+        return foreign_links.from_mjcf(file)
+    return urdf_reading.read_urdf(file)
 
 
 def drive_briefly(path: Path, drive: str) -> tuple[float, float]:
@@ -210,7 +212,9 @@ def _wheel(body: ForeignBody, index: int) -> Wheel | None:
                 return None
     wheel = _as_wheel(body, index)
     is_named_wheel = "wheel" in (link.name + link.joint).lower()
-    return wheel if is_named_wheel or wheel.radius is not None else None
+    if is_named_wheel or wheel.radius is not None:
+        return wheel
+    return None
 
 
 def _as_wheel(body: ForeignBody, index: int) -> Wheel:
@@ -274,7 +278,9 @@ def _round(shape: LinkShape, link: Link) -> tuple[float, float] | None:
             return None
     else:
         return None
-    return (radius, width) if from_axis <= ROUND_SHARE * radius else None
+    if from_axis <= ROUND_SHARE * radius:
+        return (radius, width)
+    return None
 
 
 def drive_of(file: Path, body: ForeignBody, wheels: list[Wheel], settings: ImportSettings) -> str:
@@ -364,7 +370,9 @@ class _Base:
             middle = np.mean([wheel.place for wheel in self.fixed or self.wheels], 0)
             return middle - [0.0, 0.0, self.wheel_radius or 0.0]
         bottoms = [outline(shape)[:, 2].min() for link in self.body.links for shape in link.shapes]
-        return np.array([0.0, 0.0, min(bottoms)]) if bottoms else np.zeros(3)
+        if bottoms:
+            return np.array([0.0, 0.0, min(bottoms)])
+        return np.zeros(3)
 
     def _transform(self, turn: np.ndarray, origin: np.ndarray) -> None:
         """Move links, wheels and mounts to a frame with an origin [m], turned by a rotation (3, 3)."""
@@ -502,7 +510,9 @@ class _Base:
         """m, from the origin to the wheels that turn the robot; 0 without wheels."""
         if self.drive != "differential":
             distances = [np.hypot(*wheel.place[:2]) for wheel in self.wheels]
-            return float(np.mean(distances)) if distances else 0.0
+            if distances:
+                return float(np.mean(distances))
+            return 0.0
         left, right = (np.mean([wheel.place[1] for wheel in self._on_side(sign)]) for sign in (1, -1))
         self.track = self.settings.wheel_separation or float(left - right)
         source = "--wheel-separation" if self.settings.wheel_separation else "joints"
@@ -736,7 +746,9 @@ def _outlines(shapes: list[LinkShape]) -> np.ndarray:
 
 def _distance(points: np.ndarray) -> float:
     """The horizontal distance [m] of the farthest point from the origin; 0 without points."""
-    return float(np.hypot(points[:, 0], points[:, 1]).max()) if len(points) else 0.0
+    if len(points):
+        return float(np.hypot(points[:, 0], points[:, 1]).max())
+    return 0.0
 
 
 def outline(shape: LinkShape) -> np.ndarray:
@@ -767,7 +779,9 @@ def upright(shape: LinkShape) -> LinkShape:
 
 def _view(name: str, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The directions right and up of a camera in a frame of ROS: ahead is x, or z of an optical frame."""
-    return (axes[:, 0], -axes[:, 1]) if "optical" in name else (-axes[:, 1], axes[:, 2])
+    if "optical" in name:
+        return (axes[:, 0], -axes[:, 1])
+    return (-axes[:, 1], axes[:, 2])
 
 
 def _listed(names: list[str]) -> str:

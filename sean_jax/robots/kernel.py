@@ -27,7 +27,10 @@ from sean_jax.robots.dynamics import (
 )
 
 LANES = 8  # a power of two, 32 at most
-COORDINATES, WHEELS, BODY, BOX = 5, 2, 5, 6  # numbers of a motion, of targets, of a person and of an obstacle
+COORDINATES = 5  # numbers of a position, and as many of a velocity
+WHEELS = 2  # numbers of targets
+BODY = 5  # numbers of a person
+BOX = 6  # numbers of an obstacle
 
 
 class RobotKernelShape(NamedTuple):

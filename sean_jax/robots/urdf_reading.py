@@ -273,7 +273,9 @@ def _origin(path: Path, element: Element) -> tuple[np.ndarray, np.ndarray]:
 
 def _color(path: Path, material: Element) -> tuple[float, ...] | None:
     color = material.find("color")
-    return None if color is None else tuple(np.clip(_numbers(path, color, "rgba", 4)[:3], 0.0, 1.0).tolist())
+    if color is None:
+        return None
+    return tuple(np.clip(_numbers(path, color, "rgba", 4)[:3], 0.0, 1.0).tolist())
 
 
 def _limit(path: Path, element: Element, key: str) -> float | None:

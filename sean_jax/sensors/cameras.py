@@ -20,7 +20,8 @@ from sean_jax.sensors.raycast import Rays, bundle, by_rows, distance, search
 
 OVERHEAD = "overhead"
 SEES_ROBOT = ("third_person", OVERHEAD)
-DEPTH_FAR, PICTURE_FAR = 20.0, 200.0  # m
+DEPTH_FAR = 20.0  # m, of the depth camera, if nothing else is said
+PICTURE_FAR = 200.0  # m, of the others
 OVERHEAD_EXTENT = 6.0  # m, height of the overhead picture
 
 

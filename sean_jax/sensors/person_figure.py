@@ -20,17 +20,37 @@ SKIN = ((0.87, 0.70, 0.58), (0.55, 0.38, 0.27), (0.93, 0.78, 0.67), (0.72, 0.53,
 HAIR = ((0.24, 0.18, 0.15), (0.10, 0.09, 0.09), (0.55, 0.42, 0.26), (0.36, 0.22, 0.14))
 TROUSERS = ((0.22, 0.26, 0.36), (0.30, 0.28, 0.26), (0.40, 0.36, 0.30), (0.17, 0.18, 0.20), (0.26, 0.33, 0.45))
 SHOE = (0.12, 0.11, 0.11)
-STRIDE, SPREAD = 1.4, 0.16  # m, length of two steps, and maximum distance of a foot ahead of the body, from 1 m/s on
-SWING = 0.5  # of a hand, over that of a foot
-WAIST, HIP, ANKLE, SOLE = 0.95, 0.88, 0.07, 0.1  # m above the floor; below the sole's edge there are shoes
-LEG, APART = 0.068, 0.088  # m, radius of a leg, and distance between the centers of body and leg
-ARM, SHOULDERS, HAND, CUFF = 0.04, 0.152, (0.158, 0.80), 0.88  # m: radius, half width; of a hand: aside, up; of a cuff
-ARMPIT = 1.35  # m above the floor, of the upper end of an arm
-TRUNK, TRUNK_ENDS, FLAT = 0.15, (0.93, 1.31), 1.45  # m, half width; ends of its axis; width over depth
-CRANIUM, CRANIUM_ENDS = 0.098, (1.572, 1.632)  # m
-GROIN, MIDDLE = 0.86, 0.2  # m above the floor; along a ray from the capsule, about to its axis
-BROW, CHIN, FACE = 1.66, 1.52, 0.02  # m above the floor, likewise, and ahead of the middle of the head
 HEAD, BODY, LIMB, LOWER = range(4)  # parts: arms are limbs, legs lower limbs
+
+# Gait.
+STRIDE = 1.4  # m, length of two steps
+SPREAD = 0.16  # m, maximum distance of a foot ahead of the body, from 1 m/s on
+SWING = 0.5  # of a hand, over that of a foot
+
+# Heights [m] above the floor.
+BROW = 1.66
+CHIN = 1.52
+ARMPIT = 1.35  # of the upper end of an arm
+WAIST = 0.95
+HIP = 0.88
+CUFF = 0.88
+GROIN = 0.86
+SOLE = 0.1  # of the edge of a sole, below which there are shoes
+ANKLE = 0.07
+CRANIUM_ENDS = (1.572, 1.632)  # of the axes of head and trunk
+TRUNK_ENDS = (0.93, 1.31)
+
+# Sizes and distances [m].
+CRANIUM = 0.098  # radius
+TRUNK = 0.15  # half width
+FLAT = 1.45  # width over depth of the trunk
+LEG = 0.068  # radius
+APART = 0.088  # between the centers of body and leg
+ARM = 0.04  # radius
+SHOULDERS = 0.152  # half width
+HAND = (0.158, 0.80)  # aside, and up from the floor
+FACE = 0.02  # ahead of the middle of the head
+MIDDLE = 0.2  # along a ray from a person's capsule, about to its axis
 
 
 @struct.dataclass
@@ -69,7 +89,8 @@ def trace_figures(
     heading = state.pedestrians.heading
     robot_heading = state.robot.heading
     look = jnp.stack(rotate(heading[:, 0], heading[:, 1], robot_heading[0], -robot_heading[1]), -1)  # (N, 2)
-    people = jnp.concatenate([look, view.people, left_foot(state)[:, None]], -1).T  # (5, N)
+    foot = left_foot(state)[:, None]
+    people = jnp.concatenate([look, view.people, foot], -1).T  # (5, N)
     look_x, look_y, x, y, foot = (column[index] for column in people)  # (tiles, rays) each
 
     # All limbs are capsules in the person's frame: a ray is turned once, and starts near, which keeps precision.
@@ -90,8 +111,10 @@ def trace_figures(
     forward = start.x + to_limb * direction.x
     up = start.z + to_limb * direction.z
     color = _clothes(index, part, forward, up, view.counts[3])
-    normal = Vector(*rotate(normal.x, normal.y, look_x, look_y), normal.z)
-    return PersonFigure(jnp.where(meets, distance + to_limb, MISS), normal, color)
+    nx, ny = rotate(normal.x, normal.y, look_x, look_y)
+    normal = Vector(nx, ny, normal.z)
+    distance = jnp.where(meets, distance + to_limb, MISS)
+    return PersonFigure(distance, normal, color)
 
 
 def _turned(vector: Vector, look_x: Array, look_y: Array) -> Vector:
@@ -105,7 +128,9 @@ def left_foot(state: State) -> Float[Array, "N"]:
     people = state.pedestrians
     along_way = (people.position * people.heading).sum(-1)
     speed = jnp.sqrt((people.velocity * people.velocity).sum(-1) + 1e-12)
-    return SPREAD * jnp.minimum(speed, 1.0) * jnp.sin(2.0 * jnp.pi / STRIDE * along_way)
+    reach = SPREAD * jnp.minimum(speed, 1.0)
+    phase = 2.0 * jnp.pi / STRIDE * along_way
+    return reach * jnp.sin(phase)
 
 
 # Rows of ``Capsule``: two that all rays may meet, and two legs or two arms.
@@ -133,15 +158,19 @@ def _limbs(start: Vector, direction: Vector, foot: Array) -> tuple[Array, Vector
     index = np.arange(WITH_LEGS.shape[1])[(..., *(None,) * foot.ndim)]
     all_starts, all_directions, all_feet = jax.tree.map(lambda leaf: leaf[None], (start, direction, foot))
     capsules = _capsules(index, with_arms[None])
-    distances = jax.lax.optimization_barrier(_meet(all_starts, all_directions, all_feet, capsules)[0])
+    distances, _ = _meet(all_starts, all_directions, all_feet, capsules)  # (4, tiles, rays) m
+    distances = jax.lax.optimization_barrier(distances)
+
+    # The nearest of them counts.
     distance = distances.min(0)
     nearest = jax.lax.stop_gradient(distances).argmin(0)
     distance, nearest = jax.lax.optimization_barrier((distance, nearest))
 
     # The normal leads away from the axis of the nearest capsule.
     capsule = _capsules(nearest, with_arms)
-    share = _meet(start, direction, foot, capsule)[1]
-    point = start + direction * jnp.where(distance < MISS, distance, 0.0)
+    _, share = _meet(start, direction, foot, capsule)
+    to_point = jnp.where(distance < MISS, distance, 0.0)
+    point = start + direction * to_point
     squeezed = capsule.flatness * capsule.flatness * point.x
     nx = squeezed - share * capsule.swing * foot
     ny = point.y - capsule.left - share * capsule.aside
@@ -188,24 +217,30 @@ def _meet(start: Vector, direction: Vector, foot: Array, capsule: Capsule) -> tu
     touches_ball, ball = _first_root(dd, ball_b, ball_c)
 
     is_round = touches & (height > 0.0) & (height < aa)
-    distance = jnp.where(is_round, side, jnp.where(touches_ball, ball, MISS))
-    return distance, jnp.where(is_round, height / aa, upper_end)
+    ball = jnp.where(touches_ball, ball, MISS)
+    distance = jnp.where(is_round, side, ball)
+    share = jnp.where(is_round, height / aa, upper_end)
+    return distance, share
 
 
 def _first_root(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
     """Whether a t^2 + 2 b t + c has two roots, and the lower one."""
     discriminant = b * b - a * c
     exists = discriminant > 0.0
-    return exists, (-b - jnp.sqrt(jnp.where(exists, discriminant, 1.0))) / a
+    root = jnp.sqrt(jnp.where(exists, discriminant, 1.0))
+    return exists, (-b - root) / a
 
 
 def _clothes(person: Array, part: Array, forward: Array, up: Array, count: int) -> tuple[Array, Array, Array]:
     """The colors of a part of a person, ``forward`` of the middle and ``up`` from the floor [m]."""
-    in_face = (part == HEAD) & (((forward > FACE) & (up < BROW)) | (up < CHIN))
-    skin = in_face | ((part == LIMB) & (up < CUFF))
     hair = part == HEAD
-    trousers = (part == LOWER) | ((part == BODY) & (up < WAIST))
-    shoe = (part == LOWER) & (up < SOLE)
+    face = (forward > FACE) & (up < BROW)
+    neck = up < CHIN
+    hand = (part == LIMB) & (up < CUFF)
+    skin = (hair & (face | neck)) | hand
+    leg = part == LOWER
+    trousers = leg | ((part == BODY) & (up < WAIST))
+    shoe = leg & (up < SOLE)
     index = jnp.arange(count)
     shirt = shirts(count)
 
@@ -214,9 +249,11 @@ def _clothes(person: Array, part: Array, forward: Array, up: Array, count: int) 
         return colors[index % len(table)][person]
 
     def channel(number: int) -> Array:
-        below = jnp.where(shoe, SHOE[number], of_people(TROUSERS, number))
-        clothes = jnp.where(trousers, below, shirt[number][person])
-        return jnp.where(skin, of_people(SKIN, number), jnp.where(hair, of_people(HAIR, number), clothes))
+        below_waist = jnp.where(shoe, SHOE[number], of_people(TROUSERS, number))
+        clothes = jnp.where(trousers, below_waist, shirt[number][person])
+        skin_color = of_people(SKIN, number)
+        covered = jnp.where(hair, of_people(HAIR, number), clothes)
+        return jnp.where(skin, skin_color, covered)
 
     return channel(0), channel(1), channel(2)
 

@@ -27,17 +27,41 @@ from sean_jax.sensors.raycast.vectors import Vector
 SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)
 CLASSES = ("sky", "floor", "obstacle", "person", "robot")
 """The meaning of the numbers in ``Picture.semantic``."""
-AMBIENT, SKYLIGHT, SUN = 0.5, 0.16, 0.4  # shares of the light; the skylight comes from above
-SHADOW, SHADOW_REACH = 0.45, 0.22  # share of the light lost beside a body, and m over which the loss fades
-CORNER, CORNER_REACH = 0.35, 0.12  # likewise, on a body near the floor
-JOINT_FADE, SQUARE_FADE = 5.0, 12.0  # m, at which joints and squares have lost much of their contrast
-TILE, LAMP = 0.25, (4.0, 3.0)  # sides of a ceiling's tile over its height; tiles from one lamp to the next
-PANEL, LAMPS, SEAM = (0.84, 0.84, 0.82), (1.0, 1.0, 0.96), 0.9  # colors of tiles and lamps, light of the seams
-BAY, LEVEL, BEAM, UPRIGHT = 2.0, 1.0, 0.09, 0.07  # m, of shelves: width, height, thickness of beams and uprights
-BEAM_COLOR, GOODS, INSIDE = (0.84, 0.45, 0.16), (0.74, 0.58, 0.40), 0.3
-BOARD, DADO = (0.1, 0.6), (1.1, 0.86)  # m up to which a wall is darker, and its light there
-STOREY, PLINTH, GLASS = 3.0, (0.6, 0.7), (0.36, 0.45, 0.53)  # m, of a facade; its foot; color of windows
 Color = tuple[Array, Array, Array]  # red, green and blue, of one shape
+
+# Light.
+AMBIENT = 0.5  # share of the light
+SKYLIGHT = 0.16  # share, from above
+SUN = 0.4  # share
+SHADOW = 0.45  # share of the light lost beside a body
+SHADOW_REACH = 0.22  # m, over which the loss fades
+CORNER = 0.35  # likewise, on a body near the floor
+CORNER_REACH = 0.12
+JOINT_FADE = 5.0  # m, at which joints have lost much of their contrast
+SQUARE_FADE = 12.0  # m, likewise of squares
+
+# Ceilings.
+TILE = 0.25  # sides of a tile over the height of the ceiling
+LAMP = (4.0, 3.0)  # tiles from one lamp to the next
+PANEL = (0.84, 0.84, 0.82)  # color of tiles
+LAMPS = (1.0, 1.0, 0.96)  # color of lamps
+SEAM = 0.9  # light of the seams
+
+# Shelves.
+BAY = 2.0  # m, width
+LEVEL = 1.0  # m, height
+BEAM = 0.09  # m, thickness of beams
+UPRIGHT = 0.07  # m, thickness of uprights
+BEAM_COLOR = (0.84, 0.45, 0.16)
+GOODS = (0.74, 0.58, 0.40)
+INSIDE = 0.3
+
+# Walls and facades.
+BOARD = (0.1, 0.6)  # m up to which a wall is darker, and its light there
+DADO = (1.1, 0.86)
+STOREY = 3.0  # m
+PLINTH = (0.6, 0.7)  # the foot of a facade, likewise
+GLASS = (0.36, 0.45, 0.53)  # color of windows
 
 
 @struct.dataclass

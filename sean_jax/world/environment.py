@@ -27,7 +27,8 @@ HERE = Path(__file__).resolve().parents[1]
 # Beside the package in a checkout, inside it once installed.
 ENVS: Path = next((path for path in (HERE / "envs", HERE.parent / "envs") if path.is_dir()), HERE / "envs")
 
-SETTINGS, SCENE = "environment.yaml", "scene.xml"
+SETTINGS = "environment.yaml"
+SCENE = "scene.xml"
 ANNOTATIONS = "graph.yaml", "handcrafted.yaml"  # which some behaviors read
 TILT_TOLERANCE = 1e-4  # maximum deviation of the cosine of a box's tilt from 1
 MAX_BOTTOM = 0.05  # m above the floor, for the bottom of a box
@@ -41,7 +42,8 @@ FLOOR = ((0.78, 0.78, 0.76), (0.74, 0.74, 0.72))
 SKY = ((0.55, 0.70, 0.88), (0.92, 0.95, 0.97))
 SUN = (0.35, -0.25, 0.9)
 SQUARE = 1.0  # m
-LOWEST_CEILING, HIGHEST_CEILING = 1.8, 100.0  # m; people are 1.73 m tall
+LOWEST_CEILING = 1.8  # m; people are 1.73 m tall
+HIGHEST_CEILING = 100.0  # m
 PATTERN_OF = {"wall": "wall", "shelf": "shelf", "rack": "shelf", "facade": "facade"}
 """First word of the name of a material, or of a geom without one -> its pattern."""
 
@@ -458,7 +460,9 @@ def _floor_look(model: Any) -> FloorLook:
     if colors is None:
         color = UNPAINTED if plane < 0 else model.geom_rgba[plane]
         color = color if material < 0 else model.mat_rgba[material]
-        return PLAIN_FLOOR if np.allclose(color, UNPAINTED) else (np.tile(color[:3], (3, 1)), SQUARE, 0.0)
+        if np.allclose(color, UNPAINTED):
+            return PLAIN_FLOOR
+        return (np.tile(color[:3], (3, 1)), SQUARE, 0.0)
 
     # How far the texture reaches before it is repeated.
     period = 2 * SQUARE

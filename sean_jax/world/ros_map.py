@@ -37,7 +37,8 @@ MAX_RESOLUTION = 0.5  # m: a larger pixel than a person leaves open neither a do
 MAX_BYTES = 100_000_000  # of an image
 MAX_CELLS = 16_000_000
 SIZE_CURE = "cut it out or lower its resolution"
-FORMATS, FORMAT_NAMES = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF"), "a PGM or PNG file"
+FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF")
+FORMAT_NAMES = "a PGM or PNG file"
 MAX_DEFAULT_PEOPLE = 60  # the default number of people of a map, at most
 
 

@@ -110,14 +110,18 @@ def _first_of_all(rays: Rays, view: View, behind: bool = False) -> tuple[Array, 
         hit = _first(law, family.table, family.in_sight, family.start, beams, hit)
         if family.scenery:
             scenery_hit = hit
-    return (*hit, *scenery_hit) if behind else hit
+    if behind:
+        return (*hit, *scenery_hit)
+    return hit
 
 
 def _in_a_kernel(rays: Rays, results: int, view: View) -> tuple[Array, ...]:
     """``nearest`` (1 result), ``search`` (2) or ``search_behind`` (4), for GPUs."""
     double = any(leaf.dtype.itemsize > 4 for leaf in jax.tree.leaves(view))
     if double or not gpu_kernels.available():
-        return _nearest_of_all(rays, view) if results == 1 else _first_of_all(rays, view, results == 4)
+        if results == 1:
+            return _nearest_of_all(rays, view)
+        return _first_of_all(rays, view, results == 4)
     floor = _first_numbers(view)[4]
     return kernel.first(rays, list(families(view, rays)), view.radius, view.height, floor, results)
 

@@ -25,7 +25,9 @@ def _vector(row: Row, first: int) -> Vector:
 
 def _from_ray(beams: Beams, place: Vector) -> Vector:
     """A vector from the sensor as one from the start of each ray."""
-    return place if beams.offset is None else place - beams.offset
+    if beams.offset is None:
+        return place
+    return place - beams.offset
 
 
 def box_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:

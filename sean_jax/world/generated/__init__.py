@@ -68,7 +68,8 @@ MAX_WORLDS = 100_000
 SHARE = 16  # floors, at least, for a process of its own
 CANDIDATES = 256  # places that are tried for groups
 GROUP_AREA = 60.0  # m2 of free floor for each group, at least
-GROUP_GAP, GROUP_SIGHT = 3.5, 6.0  # m, between two groups; to the waypoint from which a group is reached
+GROUP_GAP = 3.5  # m, between two groups
+GROUP_SIGHT = 6.0  # m, to the waypoint from which a group is reached
 FLOWS = ("medium", "high", "low"), (0.7, 0.15, 0.15)  # of edges, and their chances
 
 

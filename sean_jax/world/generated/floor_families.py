@@ -14,13 +14,23 @@ import numpy as np
 GAP = 1.0  # m, between things; more than the widest robot of the package needs
 TOUCH = 0.02  # m, up to which two boxes count as one
 WALL = 0.12  # m, thickness
-WALL_HEIGHT, SHELF, COUNTER, DESK, SCREEN, POST = 2.5, 2.0, 1.1, 0.75, 1.4, 0.95  # m
 TRIES = 40  # places that are tried for a thing
 MAX_THINGS = 300  # on a floor
 
-WALL_COLOR, WOOD, METAL, STONE, CLOTH = (
-    (0.85, 0.84, 0.80), (0.62, 0.48, 0.33), (0.45, 0.50, 0.56), (0.66, 0.64, 0.62), (0.36, 0.45, 0.58)
-)  # fmt: skip
+# Heights [m].
+WALL_HEIGHT = 2.5
+SHELF = 2.0
+SCREEN = 1.4
+COUNTER = 1.1
+POST = 0.95
+DESK = 0.75
+
+# Colors.
+WALL_COLOR = (0.85, 0.84, 0.80)
+WOOD = (0.62, 0.48, 0.33)
+METAL = (0.45, 0.50, 0.56)
+STONE = (0.66, 0.64, 0.62)
+CLOTH = (0.36, 0.45, 0.58)
 
 
 class Thing(NamedTuple):
@@ -39,7 +49,9 @@ def kind_of(height: float, color: Sequence[float]) -> str:
     """What a box of a height [m] and a color is: ``wall``, ``shelf`` or ``box``."""
     if np.allclose(color, WALL_COLOR):
         return "wall"
-    return "shelf" if np.isclose(height, SHELF) and np.allclose(color, METAL) else "box"
+    if np.isclose(height, SHELF) and np.allclose(color, METAL):
+        return "shelf"
+    return "box"
 
 
 class TooManyThings(ValueError):

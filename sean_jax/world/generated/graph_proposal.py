@@ -31,7 +31,8 @@ MAX_NODES = 120
 ROOM = 0.05  # m, by which nodes are farther from obstacles than they have to be
 MERGE = 2.5  # m, within which ends of people's ways are one
 MIN_SHARE = 0.04  # of all ends, from which they are a node
-C_MIN, C_MAX = 0.2, 100.0  # as in the shipped graphs
+C_MIN = 0.2  # as in the shipped graphs
+C_MAX = 100.0
 
 
 def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = None) -> Annotation:
@@ -99,7 +100,9 @@ class _Graph:
 
     def unseen(self) -> np.ndarray:
         """The cells that no node sees and is near to."""
-        return np.flatnonzero(~np.any(self.near, axis=0)) if self.near else np.arange(len(self.floor.cells))
+        if self.near:
+            return np.flatnonzero(~np.any(self.near, axis=0))
+        return np.arange(len(self.floor.cells))
 
     def components(self, among: list[int] | None = None) -> list[list[int]]:
         """The nodes, or some among them, that are joined by sight, component by component."""
