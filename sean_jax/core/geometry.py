@@ -82,16 +82,25 @@ def unit_vectors(vectors: Float[Array, "*batch 2"], default: Float[Array, "*defa
     x = vectors[..., 0]
     y = vectors[..., 1]
     scaled = unit(x, y)
+    scaled = jnp.stack(scaled, -1)
     zero = x * x + y * y < TINY
-    return jnp.where(zero[..., None], default, jnp.stack(scaled, -1))
+    return jnp.where(zero[..., None], default, scaled)
 
 
 def angle_between(heading: Float[Array, "*batch 2"], target: Float[Array, "*other 2"]) -> Float[Array, "..."]:
     """Signed angle from one direction to another, counter-clockwise, in (-pi, pi]; 0 where one of the two is zero."""
-    cross = heading[..., 0] * target[..., 1] - heading[..., 1] * target[..., 0]
-    dot = heading[..., 0] * target[..., 0] + heading[..., 1] * target[..., 1]
+    heading_x = heading[..., 0]
+    heading_y = heading[..., 1]
+    target_x = target[..., 0]
+    target_y = target[..., 1]
+    cross = heading_x * target_y - heading_y * target_x
+    dot = heading_x * target_x + heading_y * target_y
+
+    # The angle of a zero vector has a gradient, too.
     zero = cross * cross + dot * dot < TINY
-    return jnp.arctan2(jnp.where(zero, 0.0, cross), jnp.where(zero, 1.0, dot))
+    cross = jnp.where(zero, 0.0, cross)
+    dot = jnp.where(zero, 1.0, dot)
+    return jnp.arctan2(cross, dot)
 
 
 def from_box(x: Array, y: Array, box: Obstacles) -> tuple[Array, Array, Array]:
@@ -104,7 +113,9 @@ def from_box(x: Array, y: Array, box: Obstacles) -> tuple[Array, Array, Array]:
     cy = box.center[..., 1]
     hx = box.half_extent[..., 0]
     hy = box.half_extent[..., 1]
-    return from_rectangle(x, y, cx, cy, hx, hy, jnp.cos(box.yaw), jnp.sin(box.yaw))
+    cosine = jnp.cos(box.yaw)
+    sine = jnp.sin(box.yaw)
+    return from_rectangle(x, y, cx, cy, hx, hy, cosine, sine)
 
 
 def from_rectangle(
@@ -127,10 +138,15 @@ def from_rectangle(
 
     # Inside, the normal points out of the nearest side.
     by_u = beyond_u > beyond_v
-    normal_u = jnp.where(outside, out_u * inverse, jnp.where(by_u, 1.0, 0.0)) * side_u
-    normal_v = jnp.where(outside, out_v * inverse, jnp.where(by_u, 0.0, 1.0)) * side_v
-    distance = jnp.where(outside, square * inverse, jnp.maximum(beyond_u, beyond_v))
-    return distance, *rotate(normal_u, normal_v, cosine, sine)
+    inside_u = jnp.where(by_u, 1.0, 0.0)
+    inside_v = jnp.where(by_u, 0.0, 1.0)
+    normal_u = jnp.where(outside, out_u * inverse, inside_u) * side_u
+    normal_v = jnp.where(outside, out_v * inverse, inside_v) * side_v
+    normal_x, normal_y = rotate(normal_u, normal_v, cosine, sine)
+
+    depth = jnp.maximum(beyond_u, beyond_v)
+    distance = jnp.where(outside, square * inverse, depth)
+    return distance, normal_x, normal_y
 
 
 def signed_distances(
@@ -141,11 +157,13 @@ def signed_distances(
     y = points[:, 1]
     to_all_boxes = jax.vmap(_distance_to_box, in_axes=(None, None, 0))
     distances = jax.vmap(to_all_boxes, in_axes=(0, 0, None))(x, y, environment.obstacles)  # (P, W) m
-    return jnp.min(distances, axis=1, initial=jnp.inf), to_edge(environment, x, y)
+    to_obstacle = jnp.min(distances, axis=1, initial=jnp.inf)
+    return to_obstacle, to_edge(environment, x, y)
 
 
 def _distance_to_box(x: Array, y: Array, box: Obstacles) -> Array:
-    return from_box(x, y, box)[0]
+    distance, _, _ = from_box(x, y, box)
+    return distance
 
 
 def signed_distances_on_host(
@@ -154,8 +172,11 @@ def signed_distances_on_host(
     """``signed_distances`` by numpy in double precision: nothing is compiled for a call that happens once."""
     points = np.asarray(points, float)
     floor = np.asarray(environment.floor, float)
-    batches = np.array_split(points, max(1, len(points) // HOST_BATCH))  # few points at once, as W may be large
-    to_boxes = [_distances_to_boxes(environment.obstacles, batch).min(1, initial=np.inf) for batch in batches]
+    # Few points at once, as W may be large.
+    to_boxes = []
+    for batch in np.array_split(points, max(1, len(points) // HOST_BATCH)):
+        distances = _distances_to_boxes(environment.obstacles, batch)
+        to_boxes.append(distances.min(1, initial=np.inf))
     to_edges = np.minimum(points - floor[:2], floor[2:] - points)  # (P, 2) m, in x and in y
     return np.concatenate(to_boxes), to_edges.min(1)
 
@@ -174,7 +195,9 @@ def _distances_to_boxes(boxes: Obstacles, points: np.ndarray) -> np.ndarray:
     beyond_u = np.abs(cosine * x + sine * y) - half[:, 0]
     beyond_v = np.abs(cosine * y - sine * x) - half[:, 1]
 
-    outside = np.hypot(np.maximum(beyond_u, 0.0), np.maximum(beyond_v, 0.0))
+    out_u = np.maximum(beyond_u, 0.0)
+    out_v = np.maximum(beyond_v, 0.0)
+    outside = np.hypot(out_u, out_v)
     inside = np.minimum(np.maximum(beyond_u, beyond_v), 0.0)
     return outside + inside
 
@@ -204,8 +227,10 @@ def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radi
     sine = jnp.sin(box.yaw)
     hu = box.half_extent[..., 0]
     hv = box.half_extent[..., 1]
-    pu, pv = rotate(px - box.center[..., 0], py - box.center[..., 1], cosine, -sine)
-    qu, qv = rotate(qx - box.center[..., 0], qy - box.center[..., 1], cosine, -sine)
+    cx = box.center[..., 0]
+    cy = box.center[..., 1]
+    pu, pv = rotate(px - cx, py - cy, cosine, -sine)
+    qu, qv = rotate(qx - cx, qy - cy, cosine, -sine)
 
     # Across the segment: its line passes all corners at the radius or more.
     du = qu - pu
@@ -247,9 +272,11 @@ def build_obstacle_grid(obstacles: Obstacles, floor: Float[Array, "4"], cell: fl
     Raises:
         InputError: too many obstacles lie near one place to fit in memory.
     """
-    lower = np.asarray(floor, float)[:2]
-    size = np.asarray(floor, float)[2:] - lower
-    cell = max(cell, float(np.sqrt(np.prod(size) / MAX_CELLS)))
+    floor = np.asarray(floor, float)
+    lower = floor[:2]
+    size = floor[2:] - lower
+    min_cell = np.sqrt(np.prod(size) / MAX_CELLS)
+    cell = max(cell, float(min_cell))
     shape = np.maximum(1, np.ceil(size / cell).astype(int))
     near = _obstacles_near_cells(obstacles, lower, cell, shape)
     rows_max = max(1, int(near.sum(-1).max(initial=0)))
@@ -262,7 +289,9 @@ def build_obstacle_grid(obstacles: Obstacles, floor: Float[Array, "4"], cell: fl
     rows[..., 1] = FAR
     rows[..., 4] = 1.0  # cosine of the yaw
     yaw = np.asarray(obstacles.yaw, float)[:, None]
-    table = np.concatenate([obstacles.center, obstacles.half_extent, np.cos(yaw), np.sin(yaw)], 1)  # (W, 6)
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
+    table = np.concatenate([obstacles.center, obstacles.half_extent, cosine, sine], 1)  # (W, 6)
     for i, j in np.argwhere(near.any(-1)):
         index = np.flatnonzero(near[i, j])
         rows[i, j, : len(index)] = table[index]
@@ -274,9 +303,11 @@ def _obstacles_near_cells(obstacles: Obstacles, lower: np.ndarray, cell: float, 
     x = lower[0] + (np.arange(shape[0]) + 0.5) * cell  # of the middles of the cells
     y = lower[1] + (np.arange(shape[1]) + 0.5) * cell
     near = np.zeros((*shape, len(np.asarray(obstacles.yaw))), bool)
+    reach = REACH + cell / np.sqrt(2)
     for i in range(shape[0]):  # by column: large floors would need too much memory at once
         column = np.stack([np.full_like(y, x[i]), y], -1)  # (Y, 2)
-        near[i] = _distances_to_boxes(obstacles, column) <= REACH + cell / np.sqrt(2)
+        distances = _distances_to_boxes(obstacles, column)  # (Y, W) m
+        near[i] = distances <= reach
     return near
 
 

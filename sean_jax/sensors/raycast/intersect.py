@@ -63,7 +63,8 @@ def attach(rays: Rays, view: View, distance: Array, number: Array) -> Array:
 @attach.defjvp
 def _attach_jvp(rays: Rays, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     view, distance, number = primals
-    return distance, _surface_derivative(rays, number, (view,), (tangents[0],))
+    view_tangent, _, _ = tangents
+    return distance, _surface_derivative(rays, number, (view,), (view_tangent,))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -80,7 +81,12 @@ def _distance_jvp(rays: Rays, primals: tuple[View], tangents: tuple[View]) -> tu
 
 def _surface_derivative(rays: Rays, number: Array, primals: tuple[View], tangents: tuple[View]) -> Array:
     """(tiles, rays) change of the distance to the bodies of these numbers while the view changes."""
-    _, tangent = jax.jvp(lambda view: surface(view, rays, number)[0], primals, tangents)
+
+    def to_bodies(view: View) -> Array:
+        distance, _ = surface(view, rays, number)
+        return distance
+
+    _, tangent = jax.jvp(to_bodies, primals, tangents)
     return tangent
 
 
@@ -123,7 +129,8 @@ def _in_a_kernel(rays: Rays, results: int, view: View) -> tuple[Array, ...]:
             return _nearest_of_all(rays, view)
         return _first_of_all(rays, view, results == 4)
     floor = _first_numbers(view)[4]
-    return kernel.first(rays, list(families(view, rays)), view.radius, view.height, floor, results)
+    bodies = list(families(view, rays))
+    return kernel.first(rays, bodies, view.radius, view.height, floor, results)
 
 
 def _first_numbers(view: View) -> tuple[int, int, int, int, int]:
@@ -144,7 +151,8 @@ def families(view: View, rays: Rays) -> Iterator[BodyFamily]:
     first_box, first_cylinder, first_sphere, first_person, _ = _first_numbers(view)
     reach = _reach(view, rays)
     if len(view.boxes):
-        yield BodyFamily(first_box, view.boxes, shapes.box_distance, _boxes_in_sight(view.boxes, rays, reach))
+        in_sight = _boxes_in_sight(view.boxes, rays, reach)
+        yield BodyFamily(first_box, view.boxes, shapes.box_distance, in_sight)
 
     if len(view.cylinders):
         in_sight = _cylinders_in_sight(view.cylinders, rays, reach)
@@ -158,7 +166,8 @@ def families(view: View, rays: Rays) -> Iterator[BodyFamily]:
     if len(view.people):
         radius = jnp.broadcast_to(view.radius, view.people.shape[:1])
         in_sight = _round_in_sight(reach, rays, view.people, radius, PERSON_HEIGHT - view.height)
-        yield BodyFamily(first_person, view.people, _person_law(rays), in_sight, scenery=False)
+        law = _person_law(rays)
+        yield BodyFamily(first_person, view.people, law, in_sight, scenery=False)
 
 
 def _person_law(rays: Rays) -> shapes.ShapeLaw:
@@ -175,8 +184,9 @@ def _boxes_in_sight(boxes: Array, rays: Rays, reach: Array) -> Array:
     zero = jnp.zeros((), float)
     beyond_u = jnp.maximum(jnp.abs(u) - boxes[:, 3], zero)
     beyond_v = jnp.maximum(jnp.abs(v) - boxes[:, 4], zero)
+    away = length(beyond_u, beyond_v)
     top = boxes[:, 2] + boxes[:, 5]
-    return _in_sight(reach, rays, boxes, extent, length(beyond_u, beyond_v), top)
+    return _in_sight(reach, rays, boxes, extent, away, top)
 
 
 def _cylinders_in_sight(cylinders: Array, rays: Rays, reach: Array) -> Array:
@@ -189,8 +199,10 @@ def _cylinders_in_sight(cylinders: Array, rays: Rays, reach: Array) -> Array:
 
 def _round_in_sight(reach: Array, rays: Rays, table: Array, radius: Array, top: Array) -> Array:
     """``_in_sight`` of bodies within a radius (K,) m around their middle."""
-    away = jnp.maximum(length(table[:, 0], table[:, 1]) - radius, 0.0)
-    return _in_sight(reach, rays, table, lambda x, y: radius[None, :], away, jnp.broadcast_to(top, away.shape))
+    to_middle = length(table[:, 0], table[:, 1])
+    away = jnp.maximum(to_middle - radius, 0.0)
+    top = jnp.broadcast_to(top, away.shape)
+    return _in_sight(reach, rays, table, lambda x, y: radius[None, :], away, top)
 
 
 def _reach(view: View, rays: Rays) -> Float[Array, "tiles"]:
@@ -217,7 +229,8 @@ def _in_sight(reach: Array, rays: Rays, table: Array, extent: Callable, away: Ar
         ny = normal[:, 1:]
         possible &= nx * x + ny * y + extent(nx, ny) >= 0.0
     slope_min = rays.slope_min[:, None]
-    return possible & ((slope_min <= 0.0) | (top[None, :] >= slope_min * away[None, :]))
+    lowest = slope_min * away[None, :]  # m, of the tile's rays at that distance
+    return possible & ((slope_min <= 0.0) | (top[None, :] >= lowest))
 
 
 # --- loops over the bodies in sight, for CPUs ---
@@ -233,7 +246,8 @@ class Tasks(NamedTuple):
 
 def _tasks(in_sight: Array) -> Tasks:
     ends = _ends(in_sight)
-    count = (ends[:, -1].astype(jnp.int32) + (CHUNK - 1)) // CHUNK
+    bodies = ends[:, -1].astype(jnp.int32)
+    count = (bodies + (CHUNK - 1)) // CHUNK
     return Tasks(ends, count, jnp.cumsum(count))
 
 
@@ -257,10 +271,12 @@ def _nearest(law: DistanceLaw, table: Array, in_sight: Array, beams: Beams, dist
         task = iteration * width + jnp.arange(width, dtype=jnp.int32)
         tile, new = _run_tasks(law, padded, tasks, beams, task)
         bits = jax.lax.bitcast_convert_type(new, whole)
-        return iteration + 1, nearest_bits.at[tile].min(bits, mode="drop")
+        nearest_bits = nearest_bits.at[tile].min(bits, mode="drop")
+        return iteration + 1, nearest_bits
 
     bits = jax.lax.bitcast_convert_type(distance, whole)
-    bits = jax.lax.while_loop(lambda carry: carry[0] < iterations, run, (jnp.zeros((), jnp.int32), bits))[1]
+    start = jnp.zeros((), jnp.int32), bits
+    _, bits = jax.lax.while_loop(lambda carry: carry[0] < iterations, run, start)
     return jax.lax.bitcast_convert_type(bits, real)
 
 
@@ -269,7 +285,8 @@ def _run_tasks(law: DistanceLaw, table: Array, tasks: Tasks, beams: Beams, task:
     tiles, bodies = tasks.ends.shape
     tile = (tasks.last[None, :] <= task[:, None]).sum(1, dtype=jnp.int32)
     clipped = jnp.minimum(tile, tiles - 1)
-    begin = CHUNK * (task - (tasks.last - tasks.count)[clipped])  # rank of the task's first body in the tile
+    first_task = (tasks.last - tasks.count)[clipped]  # of the tile
+    begin = CHUNK * (task - first_task)  # rank of the task's first body in the tile
     tile_ends = tasks.ends[clipped]
     tile_beams = beams.of_tiles(clipped)
 
@@ -278,7 +295,9 @@ def _run_tasks(law: DistanceLaw, table: Array, tasks: Tasks, beams: Beams, task:
         rank = (begin + offset).astype(tile_ends.dtype)
         body = (tile_ends <= rank[:, None]).sum(1, dtype=jnp.int32)
         distance = law(table[body].T[:, :, None], tile_beams)
-        new = jnp.minimum(new, jnp.where((body < bodies)[:, None], distance, MISS))
+        exists = (body < bodies)[:, None]
+        distance = jnp.where(exists, distance, MISS)
+        new = jnp.minimum(new, distance)
     return tile, new
 
 
@@ -299,7 +318,9 @@ def _first(law: DistanceLaw, table: Array, in_sight: Array, start: int, beams: B
         number = jnp.where(nearer, start + body[:, None], number)
         return iteration + 1, (distance, number)
 
-    return jax.lax.while_loop(lambda carry: carry[0] < iterations, test, (jnp.zeros((), jnp.int32), hit))[1]
+    start_carry = jnp.zeros((), jnp.int32), hit
+    _, hit = jax.lax.while_loop(lambda carry: carry[0] < iterations, test, start_carry)
+    return hit
 
 
 def _with_spare_row(table: Array) -> Array:
@@ -357,9 +378,11 @@ def surface(view: View, rays: Rays, number: Int[Array, "tiles rays"]) -> tuple[F
 
         to_body = law(row, beams, view.radius, view.height)
         distance = jnp.where(is_kind, to_body, distance)
-        point = along(rays, jnp.where(is_kind & (to_body < MISS), to_body, 1.0))
-        normal_there = normal_law(row, point, view.radius, view.height)
-        normal = Vector(*(jnp.where(is_kind, new, old) for new, old in zip(normal_there, normal, strict=True)))
+        to_point = jnp.where(is_kind & (to_body < MISS), to_body, 1.0)
+        point = along(rays, to_point)
+        body_normal = normal_law(row, point, view.radius, view.height)
+        components = zip(body_normal, normal, strict=True)
+        normal = Vector(*(jnp.where(is_kind, new, old) for new, old in components))
     return distance, normal
 
 
@@ -368,4 +391,5 @@ def along(rays: Rays, distance: Float[Array, "tiles rays"]) -> Vector:
     x, y, z = (distance * jnp.asarray(component, float) for component in rays.direction)
     if rays.offset is None:
         return Vector(x, y, z)
-    return Vector(x + rays.offset[0], y + rays.offset[1], z + rays.offset[2])
+    offset_x, offset_y, offset_z = rays.offset
+    return Vector(x + offset_x, y + offset_y, z + offset_z)
