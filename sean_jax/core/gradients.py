@@ -25,7 +25,8 @@ MOVING = ("position", "velocity", "heading", "desired_velocity")  # of people
 
 def truncate(state: State, every: int) -> State:
     """Ends the derivative at each ``every``-th step: truncated backpropagation through blocks of steps."""
-    return damp(state, jnp.where(state.tick % every == 0, 0.0, 1.0))
+    ends = state.tick % every == 0
+    return damp(state, jnp.where(ends, 0.0, 1.0))
 
 
 def damp(state: State, factor: Float[Array, ""] | float) -> State:
@@ -41,7 +42,8 @@ def clip(state: State, limit: Float[Array, ""] | float) -> State:
         limit: maximum length of the cotangent of all moving parts of a body, in units of the loss per metre.
     """
     moving = _moving(state)
-    return _with_moving(state, linear_call(_same, _clipped, jnp.asarray(limit, float), moving, moving))
+    limit = jnp.asarray(limit, float)
+    return _with_moving(state, linear_call(_same, _clipped, limit, moving, moving))
 
 
 def _moving(state: State) -> tuple[list[Array], list[Array]]:
@@ -58,7 +60,8 @@ def _with_moving(state: State, moving: tuple[list[Array], list[Array]]) -> State
     floats = iter(robot)
     leaves, structure = jax.tree.flatten(state.robot)
     leaves = [next(floats) if _is_float(leaf) else leaf for leaf in leaves]
-    return replace(state, pedestrians=replace(state.pedestrians, **fields), robot=structure.unflatten(leaves))
+    pedestrians = replace(state.pedestrians, **fields)
+    return replace(state, pedestrians=pedestrians, robot=structure.unflatten(leaves))
 
 
 def _is_float(leaf: Array) -> bool:
@@ -73,7 +76,8 @@ def _scaled(leaf: Array, factor: Array) -> Array:
 @_scaled.defjvp
 def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     leaf, factor = primals
-    return leaf, jnp.where(factor == 0.0, 0.0, factor * tangents[0])  # infinity ends too
+    change, _ = tangents
+    return leaf, jnp.where(factor == 0.0, 0.0, factor * change)  # infinity ends too
 
 
 def _same(limit: Array, moving: PyTree) -> PyTree:
@@ -83,19 +87,21 @@ def _same(limit: Array, moving: PyTree) -> PyTree:
 def _clipped(limit: Array, cotangents: tuple[list[Array], list[Array]]) -> tuple[list[Array], list[Array]]:
     """The cotangents of people and of the robot, each body's shortened to the limit."""
     people, robot = cotangents
-    by_leaf = [jnp.square(leaf).reshape(leaf.shape[0], -1).sum(1) for leaf in people]  # (N,) each
-    scale = _shorter(jnp.stack(by_leaf).sum(0), limit)
-    shortened = [leaf * scale.reshape(-1, *[1] * (leaf.ndim - 1)) for leaf in people]
+    squares = [jnp.square(leaf).reshape(leaf.shape[0], -1).sum(1) for leaf in people]  # (N,) each
+    scale = _shorter(jnp.stack(squares).sum(0), limit)
+    people = [leaf * scale.reshape(-1, *[1] * (leaf.ndim - 1)) for leaf in people]
 
-    by_leaf = [jnp.square(leaf).sum() for leaf in robot]
-    scale = _shorter(jnp.stack(by_leaf).sum(0), limit)
-    return shortened, [leaf * scale for leaf in robot]
+    squares = [jnp.square(leaf).sum() for leaf in robot]
+    scale = _shorter(jnp.stack(squares).sum(0), limit)
+    robot = [leaf * scale for leaf in robot]
+    return people, robot
 
 
 def _shorter(square: Array, limit: Array) -> Array:
     """The factor that shortens vectors with these squared lengths to the limit; 0 for infinite ones."""
     over = square > limit * limit
-    return jnp.where(over, limit * jax.lax.rsqrt(jnp.where(over, square, 1.0)), 1.0)
+    inverse = jax.lax.rsqrt(jnp.where(over, square, 1.0))
+    return jnp.where(over, limit * inverse, 1.0)
 
 
 # --- a linear function with its own transpose ---
@@ -141,12 +147,11 @@ def _compute(*values: PyTree, forward: Direction, backward: Direction, number: i
 def _jvp(values: tuple, tangents: tuple, *, forward: Direction, backward: Direction, number: int) -> tuple:
     constants = values[:number]
     arguments = values[number:]
-    tangents_of_constants = tangents[:number]
     changes = [ad.instantiate_zeros(tangent) for tangent in tangents]
     directions = {"forward": forward, "backward": backward, "number": number}
     results = _linear.bind(*values, **directions)
     change = _linear.bind(*constants, *changes[number:], **directions)
-    if all(isinstance(tangent, ad.Zero) for tangent in tangents_of_constants):
+    if all(isinstance(tangent, ad.Zero) for tangent in tangents[:number]):
         return results, change
 
     # In the derivative of a derivative the constants change, too, and the function need not be linear in them.
@@ -160,7 +165,8 @@ def _jvp(values: tuple, tangents: tuple, *, forward: Direction, backward: Direct
 def _transpose(cotangents: list, *values: PyTree, forward: Direction, backward: Direction, number: int) -> list:
     outputs = [ad.instantiate_zeros(cotangent) for cotangent in cotangents]
     constants = values[:number]
-    return [None] * number + _linear.bind(*constants, *outputs, forward=backward, backward=forward, number=number)
+    changes = _linear.bind(*constants, *outputs, forward=backward, backward=forward, number=number)
+    return [None] * number + changes
 
 
 def _batch(values: tuple, axes: tuple, *, forward: Direction, backward: Direction, number: int) -> tuple:

@@ -27,14 +27,18 @@ def with_bodies(scenario: Scenario, state: State) -> tuple[Scenario, State]:
 
     # A body of a person's radius stands nearer to the robot by what the other robot is larger.
     dx, dy = (others.position - state.robot.position[None, :]).T
-    shift = jnp.minimum(models.radius - scenario.forces.walking.radius, length(dx, dy))
-    position = others.position - shift[:, None] * jnp.stack(unit(dx, dy), -1)
+    excess = models.radius - scenario.forces.walking.radius
+    shift = jnp.minimum(excess, length(dx, dy))  # (R,) m
+    direction = jnp.stack(unit(dx, dy), -1)
+    position = others.position - shift[:, None] * direction
     people = _append(state.pedestrians, position, ground_velocity(others), others.heading)
 
+    # Rays meet the shapes of the other robots.
     environment = scenario.environment
     solids = _join(environment.scenery.solids, _on_floor(models.solids, others))
     scenery = replace(environment.scenery, solids=solids)
-    return replace(scenario, environment=replace(environment, scenery=scenery)), replace(state, pedestrians=people)
+    environment = replace(environment, scenery=scenery)
+    return replace(scenario, environment=environment), replace(state, pedestrians=people)
 
 
 def with_contacts(scenario: Scenario, state: State) -> State:
@@ -63,15 +67,21 @@ def with_contacts(scenario: Scenario, state: State) -> State:
 
     # A body of a person's radius with this robot's share of the gap.
     distance = scenario.forces.walking.radius + model.radius + share * gap
-    start = robot.position[None, :] - distance[:, None] * jnp.stack([nx, ny], -1)
+    normal = jnp.stack([nx, ny], -1)
+    start = robot.position[None, :] - distance[:, None] * normal
     position = start + scenario.time_step * velocity
-    return replace(state, pedestrians=_append(state.pedestrians, position, velocity, others.heading))
+    people = _append(state.pedestrians, position, velocity, others.heading)
+    return replace(state, pedestrians=people)
 
 
 def _append(people: Pedestrians, position: Array, velocity: Array, heading: Array) -> Pedestrians:
     """People and bodies after them, in no group."""
     count = position.shape[0]
-    zeros = jax.tree.map(lambda leaf: jnp.zeros((count, *leaf.shape[1:]), leaf.dtype), people)
+
+    def zeros_like_people(leaf: Array) -> Array:
+        return jnp.zeros((count, *leaf.shape[1:]), leaf.dtype)
+
+    zeros = jax.tree.map(zeros_like_people, people)
     alone = jnp.full(count, -1, jnp.int32)
     bodies = replace(
         zeros,
@@ -91,10 +101,12 @@ def _append(people: Pedestrians, position: Array, velocity: Array, heading: Arra
 
 def _on_floor(solids: Solids, robots: Robot) -> Solids:
     """The solids (R, ...) of robots, from their own frames to the floor, in one list."""
-
     by_robot = jax.vmap(_move_solids)(solids, robots.position, robots.heading)
     color = jnp.concatenate([_flat(table) for table in _colors(by_robot)])
-    return Solids(_flat(by_robot.boxes), _flat(by_robot.cylinders), _flat(by_robot.spheres), color=color)
+    boxes = _flat(by_robot.boxes)
+    cylinders = _flat(by_robot.cylinders)
+    spheres = _flat(by_robot.spheres)
+    return Solids(boxes, cylinders, spheres, color=color)
 
 
 def _move_solids(solids: Solids, position: Float[Array, "2"], heading: Float[Array, "2"]) -> Solids:
@@ -118,7 +130,8 @@ def _move_solids(solids: Solids, position: Float[Array, "2"], heading: Float[Arr
 
 def _flat(table: Array) -> Array:
     """(R, K, columns) as (R * K, columns)."""
-    return table.reshape(table.shape[0] * table.shape[1], table.shape[2])
+    robots, bodies, columns = table.shape
+    return table.reshape(robots * bodies, columns)
 
 
 def _join(first: Solids, second: Solids) -> Solids:
@@ -147,4 +160,5 @@ def models_of_others(models: RobotModel, number: int) -> RobotModel:
 def others_of(number: int) -> Int[np.ndarray, "M R"]:
     """The numbers of the other robots of each robot of a team."""
     index = np.arange(number, dtype=np.int32)
-    return np.array([np.delete(index, own) for own in index], np.int32)
+    others = [np.delete(index, robot) for robot in index]
+    return np.array(others, np.int32)

@@ -119,8 +119,12 @@ def of_boxes(settings: Settings, boxes: Float[np.ndarray, "W 6"], looks: Scenery
     if not settings.open:
         boxes = np.concatenate([boxes, _edges(boxes, settings.floor)])
     floor = to_device(np.array(settings.floor))
-    obstacles = Obstacles(*to_device((boxes[:, :2], boxes[:, 2:4], *boxes[:, 4:].T)))
-    looks = plain_scenery(obstacles) if looks is None else looks
+    center = boxes[:, :2]
+    half_extent = boxes[:, 2:4]
+    yaw, height = boxes[:, 4:].T
+    obstacles = Obstacles(*to_device((center, half_extent, yaw, height)))
+    if looks is None:
+        looks = plain_scenery(obstacles)
     if settings.ceiling is not None:
         looks = dataclasses.replace(looks, ceiling=to_device(np.asarray(settings.ceiling)))
     return Environment(
@@ -154,7 +158,8 @@ def write(
     geoms = []
     for index, box in enumerate(boxes):
         kind = "box" if kinds is None else kinds[index]
-        geoms.append(_geom(f"{kind}_{index + 1}", box, None if colors is None else colors[index]))
+        color = None if colors is None else colors[index]
+        geoms.append(_geom(f"{kind}_{index + 1}", box, color))
     scene = "\n".join([
         '<mujoco model="map">',
         f'  <statistic center="{middle} 0" extent="{span:g}"/>',
@@ -209,7 +214,8 @@ def free_points(environment: Environment, radius: float, number: int, seed: int 
     tried = 0
     while missing > 0:
         places = generator.uniform(floor[:2], floor[2:], (BATCH, 2)).astype(np.float32)
-        free = places[np.minimum(*signed_distances_on_host(environment, places)) >= radius]
+        to_obstacle, to_edge = signed_distances_on_host(environment, places)
+        free = places[np.minimum(to_obstacle, to_edge) >= radius]
         batches.append(free[:missing])
         missing -= len(batches[-1])
         tried += BATCH
@@ -248,10 +254,12 @@ def _edges(boxes: np.ndarray, floor: tuple[float, ...]) -> np.ndarray:
         out = np.eye(2)[axis] * side
         along = np.eye(2)[1 - axis]
         start = middle + half * (out - along)
-        if not _is_covered(start, 2 * half[1 - axis] * along, boxes):
-            center = middle + out * (half + EDGE_DEPTH)
-            extent = half * along + EDGE_DEPTH * np.array([1.0, 1.0])
-            edges.append([*center, *extent, 0.0, 0.0])
+        way = 2 * half[1 - axis] * along
+        if _is_covered(start, way, boxes):
+            continue
+        center = middle + out * (half + EDGE_DEPTH)
+        extent = half * along + EDGE_DEPTH * np.array([1.0, 1.0])
+        edges.append([*center, *extent, 0.0, 0.0])
     return np.array(edges).reshape(-1, 6)
 
 
@@ -263,21 +271,29 @@ def _is_covered(start: Float[np.ndarray, "2"], way: Float[np.ndarray, "2"], boxe
     dx, dy = (start - boxes[:, :2]).T
 
     # In the frame of each box, (W, 2).
-    start = np.stack([cosine * dx + sine * dy, cosine * dy - sine * dx], -1)
-    way = np.stack([cosine * way[0] + sine * way[1], cosine * way[1] - sine * way[0]], -1)
+    start = _in_frames(cosine, sine, dx, dy)
+    way = _in_frames(cosine, sine, way[0], way[1])
 
     # The shares of the way where each box begins and ends; along a side of its frame, all or none.
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.stack([-half - start, half - start]) / way  # (2, W, 2)
+    is_along = way == 0.0
     low = np.where(np.abs(start) > half, np.inf, -np.inf)
-    first = np.where(way == 0.0, low, ends.min(0)).max(-1)
-    last = np.where(way == 0.0, -low, ends.max(0)).min(-1)
+    first = np.where(is_along, low, ends.min(0)).max(-1)
+    last = np.where(is_along, -low, ends.max(0)).min(-1)
 
     covered = 0.0
     for index in np.argsort(first):
         if first[index] <= covered:
             covered = max(covered, last[index])
     return bool(covered >= 1.0)
+
+
+def _in_frames(cosine: np.ndarray, sine: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(W, 2) vectors (x, y) in frames that are turned by angles (W,) of that cosine and sine."""
+    u = cosine * x + sine * y
+    v = cosine * y - sine * x
+    return np.stack([u, v], -1)
 
 
 def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
@@ -288,21 +304,25 @@ def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
     if not path.exists():
         raise FileError(f"{path}: there is no such file; an environment's obstacles are MJCF boxes in it.")
     model, data = _read_scene(path)
-    solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity).tolist()
-    kind = {index: mujoco.mjtGeom(model.geom_type[index]).name.removeprefix("mjGEOM_").lower() for index in solid}
+    boxes = []
     problems = []
-    for index in solid:
-        refusal = _refusal(model, data, index, kind[index])
+    for index in np.flatnonzero(model.geom_contype | model.geom_conaffinity).tolist():
+        geom_type = mujoco.mjtGeom(model.geom_type[index])
+        kind = geom_type.name.removeprefix("mjGEOM_").lower()
+        if kind == "box":
+            boxes.append(index)
+        refusal = _refusal(model, data, index, kind)
         if refusal:
             name = model.geom(index).name
             label = f"geom '{name}'" if name else f"the unnamed geom number {index + 1}"
             problems.append(f"{label} {refusal}")
-    boxes = [index for index in solid if kind[index] == "box"]
     if len(boxes) > MAX_OBSTACLES:
         problems.append(f"has {len(boxes)} boxes that can be touched; {MAX_OBSTACLES} are the most")
     if problems:
-        raise FileError("\n".join(str(files.file_error(path, problem)) for problem in problems))
+        errors = (files.file_error(path, problem) for problem in problems)
+        raise FileError("\n".join(map(str, errors)))
 
+    # The columns of the boxes.
     position = data.geom_xpos[boxes]
     half = model.geom_size[boxes]
     rotation = data.geom_xmat[boxes]
@@ -330,11 +350,13 @@ def named_boxes(path: Path) -> dict[str, tuple[tuple[float, ...], tuple[float, .
     boxes = {}
     for index in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX):
         name = model.geom(index).name
-        if name and (model.geom_contype[index] or model.geom_conaffinity[index]):
-            center = tuple(data.geom_xpos[index].tolist())
-            half = tuple(model.geom_size[index].tolist())
-            rotation = data.geom_xmat[index]
-            boxes[name] = center, half, float(np.rad2deg(np.arctan2(rotation[3], rotation[0])))
+        if not name or not (model.geom_contype[index] or model.geom_conaffinity[index]):
+            continue
+        center = tuple(data.geom_xpos[index].tolist())
+        half = tuple(model.geom_size[index].tolist())
+        rotation = data.geom_xmat[index]
+        yaw = np.arctan2(rotation[3], rotation[0])
+        boxes[name] = center, half, float(np.rad2deg(yaw))
     return boxes
 
 
@@ -342,7 +364,9 @@ def _refusal(model: Any, data: Any, index: int, kind: str) -> str:
     """Why a geom cannot be an obstacle, as a clause that follows its name; empty if it can, or is the floor."""
     tilt = data.geom_xmat[index, 8]  # cosine of the angle between its z axis and the vertical
     if kind == "plane":
-        return "" if tilt > 1 - TILT_TOLERANCE else "is a tilted plane; make the wall a box"
+        if tilt > 1 - TILT_TOLERANCE:
+            return ""
+        return "is a tilted plane; make the wall a box"
     if kind != "box":
         return f"is a {kind}; replace it by one or more boxes"
     if model.body_weldid[model.geom_bodyid[index]] != 0:
@@ -373,7 +397,9 @@ def plain_scenery(obstacles: Obstacles) -> Scenery:
     half_height = 0.5 * height
     boxes = np.column_stack([center, half_height, extent, half_height, np.cos(yaw), np.sin(yaw)])
     color = np.tile((*OBSTACLE, 0.0), (len(height), 1))
-    return _scenery(_solids(boxes, np.zeros((0, 8)), np.zeros((0, 4)), color))
+    no_cylinders = np.zeros((0, 8))
+    no_spheres = np.zeros((0, 4))
+    return _scenery(_solids(boxes, no_cylinders, no_spheres, color))
 
 
 def scenery_from_mjcf(model: Any, data: Any, obstacles: list[int]) -> Scenery:
@@ -435,8 +461,10 @@ def _color(model: Any, index: int) -> list | None:
 
 
 def _solids(boxes: ArrayLike, cylinders: ArrayLike, spheres: ArrayLike, color: ArrayLike) -> Solids:
-    shapes = (("boxes", boxes, 8), ("cylinders", cylinders, 8), ("spheres", spheres, 4), ("color", color, 4))
-    return Solids(**{name: to_device(np.asarray(rows, float).reshape(-1, width)) for name, rows, width in shapes})
+    def table(rows: ArrayLike, columns: int) -> Array:
+        return to_device(np.asarray(rows, float).reshape(-1, columns))
+
+    return Solids(table(boxes, 8), table(cylinders, 8), table(spheres, 4), color=table(color, 4))
 
 
 FloorLook = tuple[np.ndarray, float, float]  # (3, 3) colors, m side of a square, m width of a joint
@@ -447,7 +475,8 @@ UNPAINTED = np.array([0.5, 0.5, 0.5, 1.0])  # the color of geoms in MJCF that gi
 def _scenery(solids: Solids, floor: FloorLook = PLAIN_FLOOR, sky: ArrayLike = SKY, sun: ArrayLike = SUN) -> Scenery:
     to_sun = np.asarray(sun, float)
     to_sun = to_sun / np.linalg.norm(to_sun)
-    looks = to_device((*map(np.asarray, floor), np.zeros(()), np.asarray(sky), to_sun))
+    no_ceiling = np.zeros(())
+    looks = to_device((*map(np.asarray, floor), no_ceiling, np.asarray(sky), to_sun))
     return Scenery(solids, *looks)
 
 
@@ -459,10 +488,11 @@ def _floor_look(model: Any) -> FloorLook:
     colors = _texture(model, "2d")
     if colors is None:
         color = UNPAINTED if plane < 0 else model.geom_rgba[plane]
-        color = color if material < 0 else model.mat_rgba[material]
+        if material >= 0:
+            color = model.mat_rgba[material]
         if np.allclose(color, UNPAINTED):
             return PLAIN_FLOOR
-        return (np.tile(color[:3], (3, 1)), SQUARE, 0.0)
+        return np.tile(color[:3], (3, 1)), SQUARE, 0.0
 
     # How far the texture reaches before it is repeated.
     period = 2 * SQUARE
@@ -472,10 +502,12 @@ def _floor_look(model: Any) -> FloorLook:
     elif material >= 0 and half_side > 0:
         period = 2 * half_side / model.mat_texrepeat[material, 0]
 
+    # Two squares to a period, and joints where the texture has a mark along its edges.
+    square = period / 2
     joint, width = _edge(model)
     if joint is None:
-        return np.array([colors[0], colors[-1], colors[-1]]), period / 2, 0.0
-    return np.array([colors[0], colors[-1], joint]), period / 2, 2 * period / width
+        return np.array([colors[0], colors[-1], colors[-1]]), square, 0.0
+    return np.array([colors[0], colors[-1], joint]), square, 2 * period / width
 
 
 def _edge(model: Any) -> tuple[np.ndarray | None, int]:
@@ -483,8 +515,12 @@ def _edge(model: Any) -> tuple[np.ndarray | None, int]:
     pixels = _pixels(model, "2d")
     assert pixels is not None
     border = np.concatenate([pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]])
-    marked = (border == border[0]).all() and (pixels[1:-1, 1:-1] != border[0]).any()
-    return border[0] / 255 if marked else None, pixels.shape[1]
+    color = border[0]
+    is_mark = (border == color).all() and (pixels[1:-1, 1:-1] != color).any()
+    width = pixels.shape[1]
+    if not is_mark:
+        return None, width
+    return color / 255, width
 
 
 def _texture(model: Any, kind: str) -> np.ndarray | None:
@@ -503,9 +539,14 @@ def _texture(model: Any, kind: str) -> np.ndarray | None:
 def _pixels(model: Any, kind: str) -> np.ndarray | None:
     """(H, W, 3) pixels from 0 to 255 of the first texture of a kind."""
     texture = {"2d": mujoco.mjtTexture.mjTEXTURE_2D, "skybox": mujoco.mjtTexture.mjTEXTURE_SKYBOX}[kind]
-    for index in np.flatnonzero(model.tex_type == texture):
-        start = model.tex_adr[index]
-        shape = model.tex_height[index], model.tex_width[index], model.tex_nchannel[index]
-        pixels = model.tex_data[start : start + np.prod(shape)].reshape(shape)
-        return pixels[:, :, :3] if shape[2] >= 3 else np.repeat(pixels[:, :, :1], 3, axis=-1)  # grey
-    return None
+    indices = np.flatnonzero(model.tex_type == texture)
+    if len(indices) == 0:
+        return None
+    index = indices[0]
+    channels = model.tex_nchannel[index]
+    shape = model.tex_height[index], model.tex_width[index], channels
+    start = model.tex_adr[index]
+    pixels = model.tex_data[start : start + np.prod(shape)].reshape(shape)
+    if channels < 3:  # grey
+        return np.repeat(pixels[:, :, :1], 3, axis=-1)
+    return pixels[:, :, :3]

@@ -48,19 +48,24 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
     graph = _Graph(floor)
 
     # Where people come from and go to, and then where most of the floor is out of sight.
-    for end in _clusters(np.zeros((0, 2)) if ends is None else np.asarray(ends, float)):
-        graph.add(int(np.argmin(np.linalg.norm(floor.cells - end, axis=-1))))
+    ends = np.zeros((0, 2)) if ends is None else np.asarray(ends, float)
+    for end in _clusters(ends):
+        distance = np.linalg.norm(floor.cells - end, axis=-1)
+        graph.add(int(np.argmin(distance)))
     n_ends = len(graph.nodes)
     while len(unseen := graph.unseen()) > UNSEEN * len(floor.cells):
-        room = np.minimum(floor.clearance[unseen], MAX_RADIUS) + 1e-2 * floor.clearance[unseen]
+        clearance = floor.clearance[unseen]
+        room = np.minimum(clearance, MAX_RADIUS) + 1e-2 * clearance
         graph.add(int(unseen[np.argmax(room)]))
 
-    chosen = _needed(graph, _connect(graph), n_ends)
+    # Nodes join what the first ones leave apart, and then as few as possible stay.
+    connected = _connect(graph)
+    chosen = _needed(graph, connected, n_ends)
     cells = [graph.nodes[k] for k in chosen]
-    ends_left = sum(k < n_ends for k in chosen)
-    names = [f"end_{k + 1}" for k in range(ends_left)]
-    names += [f"place_{k + 1}" for k in range(len(chosen) - ends_left)]
     sees = np.array([graph.sights[k][cells] for k in chosen])  # (M, M)
+    n_chosen_ends = sum(k < n_ends for k in chosen)
+    names = [f"end_{k + 1}" for k in range(n_chosen_ends)]
+    names += [f"place_{k + 1}" for k in range(len(chosen) - n_chosen_ends)]
     return _annotation(environment, names, floor.cells[cells], floor.clearance[cells], sees | sees.T)
 
 
@@ -71,7 +76,8 @@ class _Floor:
         self.environment = environment
         self.cells, self.clearance, self.neighbors = _cells(environment)
         x0, y0, x1, y1 = np.asarray(environment.floor, float)
-        self.sight = max(SIGHT, SIGHT_SHARE * math.sqrt((x1 - x0) * (y1 - y0)))  # m
+        side = math.sqrt((x1 - x0) * (y1 - y0))  # m, of a square floor of this area
+        self.sight = max(SIGHT, SIGHT_SHARE * side)  # m
 
 
 class _Graph:
@@ -91,12 +97,14 @@ class _Graph:
                 f"environment '{floor.environment.name}' is so winding that {MAX_NODES} nodes do not see all of it; "
                 "write a graph.yaml for it by hand."
             )
-        start = np.broadcast_to(floor.cells[cell], floor.cells.shape)
+        place = floor.cells[cell]
+        start = np.broadcast_to(place, floor.cells.shape)
         sight = np.asarray(pairs_are_free(floor.environment.obstacles, PERSON, start, floor.cells))
         sight[cell] = True
+        distance = np.linalg.norm(floor.cells - place, axis=-1)
         self.nodes.append(cell)
         self.sights.append(sight)
-        self.near.append(sight & (np.linalg.norm(floor.cells - floor.cells[cell], axis=-1) < floor.sight))
+        self.near.append(sight & (distance < floor.sight))
 
     def unseen(self) -> np.ndarray:
         """The cells that no node sees and is near to."""
@@ -108,7 +116,8 @@ class _Graph:
         """The nodes, or some among them, that are joined by sight, component by component."""
         index = np.arange(len(self.nodes)) if among is None else np.sort(among)
         cells = np.asarray(self.nodes)[index]
-        visible = np.array([self.sights[k][cells] for k in index]).reshape(len(index), len(index))
+        visible = np.array([self.sights[k][cells] for k in index])
+        visible = visible.reshape(len(index), len(index))  # without nodes, too
         count, label = connected_components(visible, directed=False)
         return [index[label == component].tolist() for component in range(count)]
 
@@ -118,36 +127,47 @@ def _cells(environment: Environment) -> tuple[np.ndarray, np.ndarray, np.ndarray
     x0, y0, x1, y1 = np.asarray(environment.floor, float)
     width = x1 - x0
     depth = y1 - y0
-    size = CELL * max(1.0, math.sqrt(width * depth / CELL**2 / MAX_CELLS))
+    excess = width * depth / CELL**2 / MAX_CELLS  # of cells, over the maximum
+    size = CELL * max(1.0, math.sqrt(excess))
     columns = max(1, round(width / size))
     rows = max(1, round(depth / size))
     x = x0 + (np.arange(columns) + 0.5) * width / columns
     y = y0 + (np.arange(rows) + 0.5) * depth / rows
-    middle = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    clearance = np.minimum(*signed_distances_on_host(environment, middle))
+    grid = np.meshgrid(x, y, indexing="ij")
+    middle = np.stack(grid, -1).reshape(-1, 2)  # (columns * rows, 2) m
+
+    # Cells of nodes are clear of obstacles and edges.
+    to_obstacle, to_edge = signed_distances_on_host(environment, middle)
+    clearance = np.minimum(to_obstacle, to_edge)
     free = clearance >= NODE_CLEARANCE + ROOM
     if not free.any():
         raise InputError(f"environment '{environment.name}' has no room for a node; look at its floor and scene.xml.")
 
     # Pairs of cells beside each other in x, and in y.
-    index = np.where(free, np.cumsum(free) - 1, -1).reshape(columns, rows)
+    index = np.where(free, np.cumsum(free) - 1, -1)
+    index = index.reshape(columns, rows)
     in_x = np.stack([index[1:], index[:-1]], -1).reshape(-1, 2)
     in_y = np.stack([index[:, 1:], index[:, :-1]], -1).reshape(-1, 2)
     neighbors = np.concatenate([in_x, in_y])
-    return middle[free], clearance[free], neighbors[(neighbors >= 0).all(1)]
+    both_free = (neighbors >= 0).all(1)
+    return middle[free], clearance[free], neighbors[both_free]
 
 
 def _clusters(ends: np.ndarray) -> list[np.ndarray]:
     """(2,) m the middle of each place where many of the ends (K, 2) [m] are, the fullest first."""
     middles = []
     remaining = ends
+    min_ends = max(2, MIN_SHARE * len(ends))
     while len(remaining) and len(middles) < MAX_NODES // 2:
-        near = np.linalg.norm(remaining[:, None] - remaining[None, :], axis=-1) < MERGE
+        gaps = remaining[:, None] - remaining[None, :]
+        near = np.linalg.norm(gaps, axis=-1) < MERGE
         fullest = near[np.argmax(near.sum(1))]
-        if fullest.sum() < max(2, MIN_SHARE * len(ends)):
+        if fullest.sum() < min_ends:
             break
-        middles.append(remaining[fullest].mean(0))
-        remaining = remaining[np.linalg.norm(remaining - middles[-1], axis=-1) >= MERGE]
+        middle = remaining[fullest].mean(0)
+        middles.append(middle)
+        distance = np.linalg.norm(remaining - middle, axis=-1)
+        remaining = remaining[distance >= MERGE]
     return middles
 
 
@@ -176,14 +196,17 @@ def _connect(graph: _Graph) -> list[int]:
         if len(candidates) == 0:
             closed.add(components[grown][0])
         else:
-            graph.add(int(candidates[np.argmax(clearance[candidates])]))
+            roomiest = candidates[np.argmax(clearance[candidates])]
+            graph.add(int(roomiest))
 
 
 def _border(view: np.ndarray, neighbors: np.ndarray) -> np.ndarray:
     """The cells of a view (K,) beside a cell that is not in it."""
     first_seen, second_seen = view[neighbors].T
     first, second = neighbors.T
-    return np.unique(np.concatenate([first[first_seen & ~second_seen], second[~first_seen & second_seen]]))
+    only_first = first[first_seen & ~second_seen]
+    only_second = second[~first_seen & second_seen]
+    return np.unique(np.concatenate([only_first, only_second]))
 
 
 def _needed(graph: _Graph, chosen: list[int], n_ends: int) -> list[int]:
@@ -194,7 +217,9 @@ def _needed(graph: _Graph, chosen: list[int], n_ends: int) -> list[int]:
     for k in sorted(chosen, key=lambda k: clearance[graph.nodes[k]]):
         others = [other for other in chosen if other != k]
         unseen = int(np.sum(graph.near[k] & (n_views == 1)))
-        if k >= n_ends and others and unseen <= may_be_unseen and len(graph.components(others)) == 1:
+        if k < n_ends or not others or unseen > may_be_unseen:
+            continue
+        if len(graph.components(others)) == 1:
             chosen = others
             n_views = n_views - graph.near[k]
             may_be_unseen -= unseen
@@ -207,8 +232,10 @@ def _annotation(
     """The annotation of nodes at (M, 2) m with a clearance (M,) m, of which pairs (M, M) see each other."""
     gap = np.linalg.norm(position[:, None] - position[None, :], axis=-1)
     itself = np.eye(len(gap), dtype=bool)
-    nearest = np.min(gap + np.where(itself, np.inf, 0.0), axis=1, initial=np.inf)
-    radii = np.clip(np.minimum(clearance - PERSON, 0.45 * nearest), PERSON, MAX_RADIUS)
+    to_others = gap + np.where(itself, np.inf, 0.0)
+    nearest = np.min(to_others, axis=1, initial=np.inf)
+    radii = np.minimum(clearance - PERSON, 0.45 * nearest)
+    radii = np.clip(radii, PERSON, MAX_RADIUS)
     nodes = {}
     for name, (x, y), radius in zip(names, position.tolist(), radii.tolist(), strict=True):
         nodes[name] = Node(kind="waypoint", position=(round(x, 3), round(y, 3)), radius=round(radius, 2), spawn=1)

@@ -41,21 +41,28 @@ def free_triangles(environment: Environment, radius: float) -> Float[np.ndarray,
     """The floor that is free for a disc of a radius [m] as triangles [m], counter-clockwise, with sharp corners."""
     boxes = _grow(environment, radius)
     corners = _corners(boxes)
-    edges = _shortest_edges(corners, _free_pairs(boxes, corners))
-    triangles = corners[_faces(corners, edges)]  # (T, 3, 2)
+    pairs = _free_pairs(boxes, corners)
+    edges = _shortest_edges(corners, pairs)
+    faces = _faces(corners, edges)
+    triangles = corners[faces]  # (T, 3, 2) m
 
     # Edges also enclose obstacles.
-    return triangles[_clearance(boxes, triangles.mean(1)) > 0.0]
+    clearance = _clearance(boxes, triangles.mean(1))
+    return triangles[clearance > 0.0]
 
 
 def _grow(environment: Environment, radius: float) -> Boxes:
     obstacles = environment.obstacles
     floor = np.asarray(environment.floor, float)
-    center = np.concatenate([obstacles.center, [(floor[:2] + floor[2:]) / 2]], dtype=float)
+    lower = floor[:2]
+    upper = floor[2:]
 
+    # The room comes last.
+    room_center = (lower + upper) / 2
+    center = np.concatenate([obstacles.center, [room_center]], dtype=float)  # (W, 2) m
     half = np.asarray(obstacles.half_extent, float) + radius
-    half = np.concatenate([half, [(floor[2:] - floor[:2]) / 2 - radius]])
-
+    room_half = (upper - lower) / 2 - radius
+    half = np.concatenate([half, [room_half]])
     yaw = np.append(np.asarray(obstacles.yaw, float), 0.0)
     return Boxes(center, half, np.cos(yaw), np.sin(yaw))
 
@@ -73,7 +80,9 @@ def _to_frame(boxes: Boxes, points: Float[np.ndarray, "*points 2"]) -> Float[np.
 
 
 def _rotated(x: np.ndarray, y: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> np.ndarray:
-    return np.stack([cosine * x - sine * y, sine * x + cosine * y])
+    u = cosine * x - sine * y
+    v = sine * x + cosine * y
+    return np.stack([u, v])
 
 
 def _cross(u: Float[np.ndarray, "*us 2"], v: Float[np.ndarray, "*vs 2"]) -> Float[np.ndarray, "..."]:
@@ -83,13 +92,15 @@ def _cross(u: Float[np.ndarray, "*us 2"], v: Float[np.ndarray, "*vs 2"]) -> Floa
 
 def _clearance(boxes: Boxes, points: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
     """To the nearest side [m] along the axes of its box, negative within an obstacle or outside the room."""
-    batches = np.array_split(points, max(1, len(points) // 1024))
+    n_batches = max(1, len(points) // 1024)
+    batches = np.array_split(points, n_batches)
     return np.concatenate([_clearance_of_batch(boxes, batch) for batch in batches])
 
 
 def _clearance_of_batch(boxes: Boxes, points: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
     local = _to_frame(boxes, points[:, None])  # (2, P, W)
-    beyond = (np.abs(local) - boxes.half.T[:, None]).max(0)  # (P, W), negative inside
+    beyond_sides = np.abs(local) - boxes.half.T[:, None]
+    beyond = beyond_sides.max(0)  # (P, W), negative inside
     beyond[:, -1] *= -1  # the room is free inside
     return beyond.min(1)
 
@@ -109,13 +120,14 @@ def _corners(boxes: Boxes) -> Float[np.ndarray, "K 2"]:
     points = np.concatenate([sides.start, *_crossings(sides)])
     rounded = np.round(points / ROUNDING).astype(np.int64)
     points = np.unique(rounded, axis=0) * ROUNDING
-    points = points[_clearance(boxes, points) >= -2 * ROUNDING]
+    is_free = _clearance(boxes, points) >= -2 * ROUNDING
+    points = points[is_free]
     if len(points) == 0:
         return points
 
     # On either side of a border between two roundings it occurs twice.
-    doubles = KDTree(points).query_pairs(SAME, output_type="ndarray")[:, 1]
-    return np.delete(points, doubles, 0)
+    pairs = KDTree(points).query_pairs(SAME, output_type="ndarray")
+    return np.delete(points, pairs[:, 1], 0)
 
 
 def _crossings(sides: Segments) -> Iterator[Float[np.ndarray, "X 2"]]:
@@ -166,9 +178,11 @@ def _pairs_past_full_cells(boxes: Boxes, corners: Float[np.ndarray, "K 2"]) -> I
     # A cell is full if its corners are in an obstacle as well as its middle.
     cells = np.indices((CELLS, CELLS)).reshape(2, -1).T
     middles = low + (cells + 0.5) * cell  # (CELLS^2, 2) m
-    full = _clearance(boxes, middles) < -np.hypot(*cell) / 2
+    half_diagonal = np.hypot(*cell) / 2
+    full = _clearance(boxes, middles) < -half_diagonal
     full = full.reshape(CELLS, CELLS)
 
+    # Each sample leaves the pairs between which it lies in no full cell.
     pairs = np.stack(np.triu_indices(len(corners), 1), 1)  # (P, 2)
     for share in np.arange(1, SAMPLES + 1) / (SAMPLES + 1):
         start, end = _between(corners, pairs)
@@ -188,8 +202,10 @@ def _enters_box(segments: Segments, box: Boxes) -> Bool[np.ndarray, "P"]:
     half = np.maximum(box.half - 2 * SAME, 0.0)[:, None]  # a segment along a side does not enter
     at_low = (-half - start) / direction
     at_high = (half - start) / direction
-    enter = np.maximum(np.minimum(at_low, at_high).max(0), 0.0)
-    leave = np.minimum(np.maximum(at_low, at_high).min(0), 1.0)
+    first = np.minimum(at_low, at_high).max(0)
+    last = np.maximum(at_low, at_high).min(0)
+    enter = np.maximum(first, 0.0)
+    leave = np.minimum(last, 1.0)
     return enter < leave
 
 
@@ -201,7 +217,8 @@ def _passes_through(segments: Segments, corner: Float[np.ndarray, "2"]) -> Bool[
     gap = corner - segments.start
     along = (gap * direction).sum(1) / length
     across = np.abs(_cross(direction, gap))  # times the length
-    return (across < SAME * length) & (along > SAME) & (along < length - SAME)
+    is_between = (along > SAME) & (along < length - SAME)
+    return (across < SAME * length) & is_between
 
 
 # --- edges and triangles ---
@@ -261,7 +278,8 @@ def _wedges(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) ->
     directed = np.concatenate([edges, edges[:, ::-1]])
     start, end = _between(corners, directed)
     dx, dy = (end - start).T
-    order = np.lexsort((np.arctan2(dy, dx), directed[:, 0]))
+    angle = np.arctan2(dy, dx)
+    order = np.lexsort((angle, directed[:, 0]))
     source, target = directed[order].T
 
     # The last neighbor of a corner is followed by the first.
