@@ -84,13 +84,16 @@ def _merge(clusters: Clusters, index: Int[Array, " N"], price: Float[Array, ""] 
 
     # The loop has a fixed length: a merger that does not pay is computed too, kept finite by 1, and discarded.
     total = jnp.where(pays, size[first] + size[second], 1.0)
-    mean = (size[first] * center[first] + size[second] * center[second]) / total  # (2,) m
+    vote_sum = size[first] * center[first] + size[second] * center[second]
+    mean = vote_sum / total  # (2,) m
 
     # ``first`` is the lower index, so a cluster keeps the index of its first member.
+    is_first = index == first
+    is_second = index == second
     label = jnp.where(pays & (label == second), first, label)
-    center = jnp.where(pays & (index == first)[:, None], mean[None, :], center)
-    without_second = jnp.where(index == second, 0.0, size)
-    merged_size = jnp.where(index == first, total, without_second)
+    center = jnp.where(pays & is_first[:, None], mean[None, :], center)
+    without_second = jnp.where(is_second, 0.0, size)
+    merged_size = jnp.where(is_first, total, without_second)
     size = jnp.where(pays, merged_size, size)
     return Clusters(label, center, size)
 
@@ -116,7 +119,8 @@ def match_groups(
     # Numbers of groups mean nothing across the two partitions: groups are compared as sets of people.
     in_estimated = (estimated[None, :] == index[:, None]) & present[None, :]  # (groups, people)
     in_annotated = (annotated[None, :] == index[:, None]) & present[None, :]
-    common = (in_annotated[:, None, :] & in_estimated[None, :, :]).sum(-1, dtype=jnp.int32)  # (annotated, estimated)
+    in_both = in_annotated[:, None, :] & in_estimated[None, :, :]
+    common = in_both.sum(-1, dtype=jnp.int32)  # (annotated, estimated)
     size = in_estimated.sum(-1, dtype=jnp.int32)
     true_size = in_annotated.sum(-1, dtype=jnp.int32)
 
@@ -128,7 +132,9 @@ def match_groups(
     match = (common >= need[:, None]) & (others <= spare[:, None])  # (annotated, estimated)
 
     # A person alone is no group, or scenes of loners would raise both scores.
-    match = match & (true_size > 1)[:, None] & (size > 1)[None, :]
+    is_group = size > 1
+    is_true_group = true_size > 1
+    match = match & is_true_group[:, None] & is_group[None, :]
 
     # Each annotated group in turn takes the first estimated group that matches and is free.
     def take(free: Array, row: Array) -> tuple[Array, Array]:
@@ -141,6 +147,6 @@ def match_groups(
 
     # Counts add up over frames; precision and recall of one frame do not, and it may have no group at all.
     matched = hits.sum(dtype=jnp.int32)
-    estimates = (size > 1).sum(dtype=jnp.int32)
-    annotations = (true_size > 1).sum(dtype=jnp.int32)
+    estimates = is_group.sum(dtype=jnp.int32)
+    annotations = is_true_group.sum(dtype=jnp.int32)
     return jnp.stack([matched, estimates, annotations])

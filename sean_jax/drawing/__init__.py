@@ -144,8 +144,11 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
 def empty_floor(frames: Trajectory) -> Environment:
     """A floor without obstacles that contains all positions of the frames, with 2 m around them."""
     people = np.asarray(frames.people).reshape(-1, 2)
-    positions = np.concatenate([people, np.asarray(frames.position).reshape(-1, 2)])
-    floor = jnp.asarray(np.concatenate([positions.min(0) - 2.0, positions.max(0) + 2.0]), float)
+    robot = np.asarray(frames.position).reshape(-1, 2)
+    positions = np.concatenate([people, robot])
+    lower = positions.min(0) - 2.0
+    upper = positions.max(0) + 2.0
+    floor = jnp.asarray(np.concatenate([lower, upper]), float)
     no_numbers = jnp.zeros(0, float)
     no_vectors = jnp.zeros((0, 2), float)
     obstacles = Obstacles(center=no_vectors, half_extent=no_vectors, yaw=no_numbers, height=no_numbers)
@@ -181,9 +184,11 @@ def handcrafted_sheet(scenario: Scenario) -> Figure:
         scenario: with behavior and task ``handcrafted``.
     """
     sets: Sets = scenario.behavior.data
-    starts = jax.tree.map(np.asarray, jax.jit(_starts)(scenario, random_streams.key("draw", 0)))
+    starts = jax.jit(_starts)(scenario, random_streams.key("draw", 0))
+    starts = jax.tree.map(np.asarray, starts)
     table = jax.tree.map(np.asarray, replace(sets, ways=None))
-    windows = _set_windows(np.asarray(scenario.environment.floor, float), starts, table)
+    floor = np.asarray(scenario.environment.floor, float)
+    windows = _set_windows(floor, starts, table)
 
     # One panel for each set and one for the meaning of marks, as tall as the tallest window.
     aspect = max((window[3] - window[1]) / (window[2] - window[0]) for window in windows)
@@ -207,8 +212,9 @@ def _panels(count: int, panel_height: float, title: str) -> tuple[Figure, list[A
 
     columns = min(COLUMNS, count)
     rows = math.ceil(count / columns)
+    row_height = panel_height + 0.36  # with its title
     width = columns * PANEL
-    height = rows * (panel_height + 0.36) + 0.4
+    height = rows * row_height + 0.4
     figure = Figure(figsize=(width, height), facecolor=colors.PAPER)
     FigureCanvasAgg(figure)
     figure.text(0.12 / width, 1 - 0.2 / height, title, fontsize=13, color=colors.INK, weight="bold", va="center")
@@ -217,7 +223,7 @@ def _panels(count: int, panel_height: float, title: str) -> tuple[Figure, list[A
     for index in range(count):
         row, column = divmod(index, columns)
         left = column * PANEL + 0.08
-        bottom = height - 0.34 - (row + 1) * (panel_height + 0.36)
+        bottom = height - 0.34 - (row + 1) * row_height
         axes = figure.add_axes((left / width, bottom / height, (PANEL - 0.16) / width, panel_height / height))
         axes.set_axis_off()
         panels.append(axes)
@@ -245,7 +251,8 @@ def graph_sheet(environment: Environment, graph: BehaviorGraph) -> Figure:
         collection.set_clip_path(axes.patches[0])
     layers.draw_graph(axes, graph, alone=True)
     if len(np.asarray(graph.groups)):
-        _draw_groups(axes, graph, max(0.0035 * (high[0] - low[0]), MIN_RADIUS))
+        radius = 0.0035 * (high[0] - low[0])
+        _draw_groups(axes, graph, max(radius, MIN_RADIUS))
     axes.legend(
         *_graph_key(graph), loc="lower right", bbox_to_anchor=(1.0 - layers.MARGIN, 0.0), ncols=3, fontsize=8,
         frameon=False, labelcolor=colors.INK, handlelength=1.4, columnspacing=1.4, borderpad=0.1, labelspacing=0.35,
@@ -264,7 +271,9 @@ def _graph_extent(environment: Environment, graph: BehaviorGraph) -> tuple[np.nd
 
     # At least half as wide as high.
     min_width = 0.5 * (high[1] - low[1])
-    low[0], high[0] = min(low[0], high[0] - min_width), max(high[0], low[0] + min_width)
+    left, right = low[0], high[0]
+    low[0] = min(left, right - min_width)
+    high[0] = max(right, left + min_width)
     return np.maximum(low, floor[:2]), np.minimum(high, floor[2:])
 
 
@@ -289,7 +298,8 @@ def floors_sheet(floors: Sequence[tuple[Environment, BehaviorGraph]]) -> Figure:
     FigureCanvasAgg(figure)
     panels = figure.subplots(rows, COLUMNS, squeeze=False).flatten()
     corners = np.array([environment.floor for environment, _ in floors], float).reshape(-1, 2, 2)
-    width, height = (corners[:, 1] - corners[:, 0]).max(0, initial=0.0) + 0.4  # m, of all panels
+    sides = corners[:, 1] - corners[:, 0]  # (floors, 2) m
+    width, height = sides.max(0, initial=0.0) + 0.4  # m, of all panels
     for axes in panels:
         axes.set_axis_off()
     for axes, (environment, graph), ((x0, y0), (x1, y1)) in zip(panels, floors, corners, strict=False):
@@ -311,7 +321,8 @@ def _starts(scenario: Scenario, key: Array) -> _Starts:
         # Odds of 0 for all other sets.
         is_set = jnp.arange(sets.odds.shape[0]) == row
         odds = jnp.where(is_set[:, None, None], sets.odds, 0.0)
-        behavior = replace(scenario.behavior, data=replace(sets, odds=odds))
+        only_set = replace(sets, odds=odds)
+        behavior = replace(scenario.behavior, data=only_set)
         people, groups, _ = scenario.behavior.reset(replace(scenario, behavior=behavior), key)
 
         start = _or_opening(sets.start[row], sets.start_group[row], groups)
@@ -333,7 +344,8 @@ def _starts(scenario: Scenario, key: Array) -> _Starts:
 
 def _or_opening(place: Array, group: Array, groups: Groups) -> Array:
     """(5, 2) m, the places, or the places that groups leave open where there is one."""
-    return jnp.where(group[:, None] >= 0, groups.opening[jnp.maximum(group, 0)], place)
+    opening = groups.opening[jnp.maximum(group, 0)]
+    return jnp.where(group[:, None] >= 0, opening, place)
 
 
 def _legs(sets: Sets, row: Array) -> Array:
@@ -368,7 +380,8 @@ def _path(navigation: paths.Navigation, start: Array, goal: Array) -> Array:
     def step(place: Array, _: None) -> tuple[Array, Array]:
         return paths.next_point(navigation, place, goal, paths_to_goal), place
 
-    return jax.lax.scan(step, start, length=MAX_CORNERS)[1]
+    _, corners = jax.lax.scan(step, start, length=MAX_CORNERS)
+    return corners
 
 
 def _window(floor: np.ndarray, points: np.ndarray) -> tuple[float, float, float, float]:
@@ -376,9 +389,11 @@ def _window(floor: np.ndarray, points: np.ndarray) -> tuple[float, float, float,
     low = points.min(0) - PANEL_MARGIN
     high = points.max(0) + PANEL_MARGIN
     side = max(MIN_PANEL, *(high - low))
-    extent = np.minimum(side, floor[2:] - floor[:2])
-    x0, y0 = np.clip((low + high - extent) / 2, floor[:2], floor[2:] - extent)
-    return x0, y0, x0 + extent[0], y0 + extent[1]
+    lower = floor[:2]
+    upper = floor[2:]
+    width, height = extent = np.minimum(side, upper - lower)
+    x0, y0 = np.clip((low + high - extent) / 2, lower, upper - extent)
+    return x0, y0, x0 + width, y0 + height
 
 
 def _draw_set(axes: Axes, environment: Environment, window: tuple, starts: _Starts, sets: Sets) -> None:
@@ -409,7 +424,8 @@ def _draw_set(axes: Axes, environment: Environment, window: tuple, starts: _Star
     people = np.asarray(starts.people[sets.present])
     heading = np.asarray(starts.people_heading[sets.present])
     is_member = np.asarray(sets.group[sets.present] >= 0)
-    layers.draw_discs(axes, people, heading, is_member, max(0.012 * side, MIN_RADIUS), 0.7)
+    radius = max(0.012 * side, MIN_RADIUS)
+    layers.draw_discs(axes, people, heading, is_member, radius, 0.7)
 
     # A pose may be the open place of a group, so poses are drawn above people.
     _draw_poses(axes, starts.start, starts.start_heading, side, "s", colors.PAPER)
@@ -443,10 +459,13 @@ def _draw_loop(axes: Axes, legs: np.ndarray, side: float, both: bool) -> None:
         if length < 0.12 * side:
             continue
         along = (end - start) / length
+        middle = 0.5 * (start + end)
+        from_middle = 0.02 * side + 0.03 * side * both
         for sign in (1.0, -1.0) if both else (1.0,):
-            tip = 0.5 * (start + end) + sign * (0.02 * side + 0.03 * side * both) * along
+            tip = middle + sign * from_middle * along
+            tail = tip - 1e-2 * sign * along
             arrow = dict(arrowstyle="-|>", color=colors.TRAIL, mutation_scale=9, linewidth=0)
-            axes.annotate("", xy=tuple(tip), xytext=tuple(tip - 1e-2 * sign * along), arrowprops=arrow, zorder=4)
+            axes.annotate("", xy=tuple(tip), xytext=tuple(tail), arrowprops=arrow, zorder=4)
 
 
 def _graph_key(graph: BehaviorGraph) -> tuple[list, list[str]]:

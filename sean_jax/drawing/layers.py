@@ -35,8 +35,9 @@ def one_episode(frames: Trajectory) -> Trajectory:
     if np.ndim(frames.active) != 1:
         raise InputError(f"frames of one episode have one leading axis, these have {np.ndim(frames.active)}.")
     frames = jax.tree.map(np.asarray, frames)
-    last = int(np.flatnonzero(frames.active)[-1]) + 1 if np.any(frames.active) else 1
-    return jax.tree.map(lambda leaf: leaf[:last], frames)
+    active = np.flatnonzero(frames.active)
+    count = int(active[-1]) + 1 if len(active) else 1
+    return jax.tree.map(lambda leaf: leaf[:count], frames)
 
 
 def first_episode(frames: Trajectory) -> Trajectory:
@@ -85,8 +86,9 @@ def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, 
     # The floor with its margins [m], and a title above it [inches].
     x0, y0, x1, y1 = map(float, np.asarray(environment.floor))
     span = x1 - x0
+    margin = MARGIN * span
     bottom = y0 - FOOT * span
-    top = y1 + MARGIN * span
+    top = y1 + margin
     width_shown = span * (1 + 2 * MARGIN)
     floor_height = width * (top - bottom) / width_shown
     height = floor_height + (0.32 if title else 0.0)
@@ -94,14 +96,14 @@ def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, 
     figure = Figure(figsize=(width, height), facecolor=colors.PAPER)
     FigureCanvasAgg(figure)
     axes = figure.add_axes((0.0, 0.0, 1.0, floor_height / height))
-    axes.set_xlim(x0 - MARGIN * span, x1 + MARGIN * span)
+    axes.set_xlim(x0 - margin, x1 + margin)
     axes.set_ylim(bottom, top)
     axes.set_axis_off()
     style: Any = dict(facecolor=colors.FLOOR, edgecolor=colors.MUTED, linewidth=0.8, zorder=0)
     axes.add_patch(Rectangle((x0, y0), span, y1 - y0, **style))
     if title:
         style = dict(fontsize=10, color=colors.INK, va="center", weight="bold")
-        figure.text(MARGIN * span / width_shown, 1 - 0.14 / height, title, **style)
+        figure.text(margin / width_shown, 1 - 0.14 / height, title, **style)
     return figure, axes
 
 
@@ -113,9 +115,11 @@ def draw_obstacles(axes: Axes, environment: Environment) -> None:
     boxes = jax.tree.map(np.asarray, environment.obstacles)
     boxes = jax.tree.map(lambda leaf: leaf[boxes.height > 0.0], boxes)
     outlines = _box_outlines(boxes)
-    opacity = 0.18 + 0.44 * np.clip(boxes.height / DARKEST_HEIGHT, 0, 1) ** 0.7
+    relative_height = np.clip(boxes.height / DARKEST_HEIGHT, 0, 1)
+    opacity = 0.18 + 0.44 * relative_height**0.7
+    edge_opacity = np.minimum(1.5 * opacity, 1.0)
     faces = [to_rgba(colors.OBSTACLE, alpha) for alpha in opacity]
-    edges = [to_rgba(colors.OBSTACLE, alpha) for alpha in np.minimum(1.5 * opacity, 1.0)]
+    edges = [to_rgba(colors.OBSTACLE, alpha) for alpha in edge_opacity]
 
     # The floor's color below hides what is under translucent boxes.
     axes.add_collection(PolyCollection(outlines, facecolors=colors.FLOOR, edgecolors="none", zorder=2))
@@ -163,16 +167,26 @@ def _draw_edges(axes: Axes, position: np.ndarray, flows: np.ndarray, color: str)
     widths = []
     for u, v in np.argwhere(np.triu(flows != NO_EDGE, 1)):
         flow = FLOWS[flows[u, v]]
-        start, end = (position[v], position[u]) if flow == "backward" else (position[u], position[v])
+        start = position[u]
+        end = position[v]
+        if flow == "backward":
+            start, end = end, start
         lines.append((start, end))
         styles.append((0, (1, 1.6)) if flow == "low" else "-")
         widths.append(2.6 if flow == "high" else 1.2)
         if flow in ("forward", "backward"):
-            along = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
-            tip = 0.5 * (start + end) + 0.5 * along
-            arrow = dict(arrowstyle="-|>", color=color, mutation_scale=13, linewidth=0)
-            axes.annotate("", xy=tuple(tip), xytext=tuple(tip - 0.1 * along), arrowprops=arrow, zorder=3)
+            _draw_direction(axes, start, end, color)
     axes.add_collection(LineCollection(lines, colors=color, linewidths=widths, linestyles=styles, zorder=3))
+
+
+def _draw_direction(axes: Axes, start: np.ndarray, end: np.ndarray, color: str) -> None:
+    """An arrow past the middle of a line from start to end (2,) [m]."""
+    gap = end - start
+    along = gap / max(float(np.hypot(*gap)), 1e-9)
+    tip = 0.5 * (start + end) + 0.5 * along
+    tail = tip - 0.1 * along
+    arrow = dict(arrowstyle="-|>", color=color, mutation_scale=13, linewidth=0)
+    axes.annotate("", xy=tuple(tip), xytext=tuple(tail), arrowprops=arrow, zorder=3)
 
 
 def _draw_nodes(axes: Axes, position: np.ndarray, radius: np.ndarray, color: str, line: str) -> None:
@@ -196,7 +210,7 @@ def _draw_node_names(
         if group:
             axes.text(x, y + size, label, va="bottom", **style)
         else:
-            axes.text(x, y + 0.0, label, va="center", **style)
+            axes.text(x, y, label, va="center", **style)
 
 
 def draw_trails(axes: Axes, frames: Trajectory, steps: int) -> None:
@@ -279,7 +293,9 @@ def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius
     others = other_robots(frames)
     radius, *other_radii = map(float, np.broadcast_to(radius, 1 + len(others)))
     _draw_path(axes, path, step_colors(frames, situations))
-    start, goal, place = map(_point, (path[0], frames.goal[-1], path[-1]))
+    start = _point(path[0])
+    goal = _point(frames.goal[-1])
+    place = _point(path[-1])
 
     # Start and goal.
     ring: Any = dict(edgecolor=colors.ROBOT, linewidth=1.8, zorder=10)
@@ -295,7 +311,7 @@ def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius
     for robot, other_radius in zip(others, other_radii, strict=True):
         _draw_other_robot(axes, robot, other_radius, body, nose)
     tip = path[-1] + 2.2 * radius * frames.heading[-1]
-    axes.plot(*zip(path[-1], tip, strict=True), **nose)
+    axes.plot(*np.stack([path[-1], tip], 1), **nose)
 
 
 def _draw_other_robot(axes: Axes, robot: np.ndarray, radius: float, body: dict, nose: dict) -> None:
@@ -304,10 +320,13 @@ def _draw_other_robot(axes: Axes, robot: np.ndarray, radius: float, body: dict, 
     axes.plot(*robot[:, :2].T, color=colors.ROBOT, zorder=8, **line)
     x, y, heading_x, heading_y, goal_x, goal_y = map(float, robot[-1])
     length = 2.2 * radius
+    tip_x = x + length * heading_x
+    tip_y = y + length * heading_y
+    goal = goal_x, goal_y
     _draw_circle(axes, (x, y), radius, **body)
-    axes.plot([x, x + length * heading_x], [y, y + length * heading_y], **nose)
-    _draw_circle(axes, (goal_x, goal_y), 0.75, facecolor="none", edgecolor=colors.ROBOT, zorder=10, **line)
-    _draw_circle(axes, (goal_x, goal_y), 0.28, facecolor=colors.ROBOT, edgecolor="none", zorder=10)
+    axes.plot([x, tip_x], [y, tip_y], **nose)
+    _draw_circle(axes, goal, 0.75, facecolor="none", edgecolor=colors.ROBOT, zorder=10, **line)
+    _draw_circle(axes, goal, 0.28, facecolor=colors.ROBOT, edgecolor="none", zorder=10)
 
 
 def _draw_path(axes: Axes, path: np.ndarray, shades: list[str]) -> None:
@@ -319,8 +338,8 @@ def _draw_path(axes: Axes, path: np.ndarray, shades: list[str]) -> None:
     starts = np.flatnonzero([True, *changes])
     ends = [*starts[1:], len(path)]
     runs = [path[max(start - 1, 0) : end] for start, end in zip(starts, ends, strict=True)]
-    style: Any = dict(linewidths=3.0, zorder=9, capstyle="butt")
-    axes.add_collection(LineCollection(runs, colors=[shades[start] for start in starts], **style))
+    run_colors = [shades[start] for start in starts]
+    axes.add_collection(LineCollection(runs, colors=run_colors, linewidths=3.0, zorder=9, capstyle="butt"))
 
 
 def _draw_circle(axes: Axes, center: tuple[float, float], radius: float, **style: Any) -> None:
@@ -336,8 +355,9 @@ def _point(place: ArrayLike) -> tuple[float, float]:
 
 def other_robots(frames: Trajectory) -> np.ndarray:
     """(R, T, 6) of the other robots of a team, as ``Trajectory.robots``; R is 0 without a team."""
-    robots = np.zeros((len(frames.position), 0, 6)) if frames.robots is None else np.asarray(frames.robots)
-    return robots.swapaxes(0, 1)
+    if frames.robots is None:
+        return np.zeros((0, len(frames.position), 6))
+    return np.asarray(frames.robots).swapaxes(0, 1)
 
 
 def draw_scale(axes: Axes, environment: Environment) -> None:
@@ -348,7 +368,8 @@ def draw_scale(axes: Axes, environment: Environment) -> None:
     bar = max(length for length in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if length <= max_length)
     y = y0 - 0.030 * span
     tick = y + 0.008 * span
-    axes.plot([x0, x0, x0 + bar, x0 + bar], [tick, y, y, tick], color=colors.MUTED, linewidth=1.1, zorder=5)
+    end = x0 + bar
+    axes.plot([x0, x0, end, end], [tick, y, y, tick], color=colors.MUTED, linewidth=1.1, zorder=5)
     axes.text(x0, y - 0.010 * span, f"{bar:g} m", fontsize=8, color=colors.MUTED, ha="left", va="top", zorder=5)
 
 
@@ -391,22 +412,26 @@ def draw_flow(axes: Axes, environment: Environment, graph: BehaviorGraph, flow: 
     span = x1 - x0
     flow_max = float(flow.max(initial=0.0))
     position = np.asarray(graph.position, float)
-    widest = min(MAX_BAND[0] * float(np.mean(graph.radius)), MAX_BAND[1] * span)
+    mean_radius = float(np.mean(graph.radius))
+    widest = min(MAX_BAND[0] * mean_radius, MAX_BAND[1] * span)
+    narrowest = MIN_BAND * span
     bands = []
     for u, v in np.argwhere(flow > 0):
-        width = max(widest * float(flow[u, v]) / flow_max, MIN_BAND * span)
-        bands.append(_band(position[u], position[v], width))
+        width = widest * float(flow[u, v]) / flow_max
+        bands.append(_band(position[u], position[v], max(width, narrowest)))
 
     # The widest band explains the others, below the floor.
-    corner = np.array([x0 + 0.19 * span, y0 - 0.027 * span + 0.5 * widest])
-    bands.append(_band(corner, corner + np.array([0.05 * span, 0.0]), widest))
+    label_y = y0 - 0.027 * span
+    start = np.array([x0 + 0.19 * span, label_y + 0.5 * widest])
+    end = start + np.array([0.05 * span, 0.0])
+    bands.append(_band(start, end, widest))
     style: Any = dict(facecolors=colors.FLOW, edgecolors=colors.FLOOR, linewidths=0.5, alpha=0.7, zorder=4)
     collection = PolyCollection(bands, **style)
     collection.set_clip_on(False)
     axes.add_collection(collection)
     axes.plot(*position.T, linestyle="", marker="o", markersize=3.5, color=colors.FLOW_EDGE, zorder=5)
     label = f"{flow_max:.3g} people a minute"
-    axes.text(x0 + 0.25 * span, y0 - 0.027 * span, label, fontsize=7.5, color=colors.MUTED, ha="left", va="center")
+    axes.text(x0 + 0.25 * span, label_y, label, fontsize=7.5, color=colors.MUTED, ha="left", va="center")
 
 
 def _band(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
@@ -470,13 +495,13 @@ def _situation_marks(frames: Trajectory, situations: Sequence[str]) -> list[tupl
     """Lines and names of the situations that occurred."""
     from matplotlib.lines import Line2D
 
-    occurred = set(situation_indices(frames).tolist())
-    shades = [*zip(situations, colors.situation_colors(situations), strict=True), ("none", colors.NO_SITUATION)]
-    return [
-        (Line2D([], [], color=color, linewidth=3), name.replace("_", " "))
-        for index, (name, color) in enumerate(shades)
-        if index in occurred
-    ]
+    names = [*situations, "none"]
+    shades = [*colors.situation_colors(situations), colors.NO_SITUATION]
+    marks = []
+    for index in sorted(set(situation_indices(frames).tolist())):
+        line = Line2D([], [], color=shades[index], linewidth=3)
+        marks.append((line, names[index].replace("_", " ")))
+    return marks
 
 
 def _graph_marks() -> list[tuple[Any, str]]:

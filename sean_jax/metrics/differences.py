@@ -62,7 +62,8 @@ def difference(first: np.ndarray, second: np.ndarray, paired: bool) -> Differenc
         mean = float(b.mean() - a.mean())
         deviation = _pooled_deviation(a, b)
     low, high = _newcombe(a, b, paired) if _is_share(a, b) else _bootstrap(first, second, paired)
-    return Difference(float(a.mean()), float(b.mean()), mean, low, high, deviation, p_value(a, b, paired))
+    p = p_value(a, b, paired)
+    return Difference(float(a.mean()), float(b.mean()), mean, low, high, deviation, p)
 
 
 def p_value(a: np.ndarray, b: np.ndarray, paired: bool) -> float:
@@ -71,7 +72,8 @@ def p_value(a: np.ndarray, b: np.ndarray, paired: bool) -> float:
     Figures that are 0 or 1 in each episode have McNemar's exact test if they are paired, else Fisher's. All others have
     Student's test of the differences or Welch's; no p-value is smaller than permutations of so few episodes could give.
     """
-    if np.all(a == b) if paired else np.ptp(np.concatenate([a, b])) == 0:
+    same = np.all(a == b) if paired else np.ptp(np.concatenate([a, b])) == 0
+    if same:
         return math.nan
     if _is_share(a, b):
         if paired:
@@ -84,7 +86,9 @@ def p_value(a: np.ndarray, b: np.ndarray, paired: bool) -> float:
 def _mcnemar(gaps: np.ndarray) -> float:
     from scipy import stats
 
-    return float(stats.binomtest(int((gaps > 0).sum()), int(np.count_nonzero(gaps))).pvalue)
+    above = int((gaps > 0).sum())
+    different = int(np.count_nonzero(gaps))
+    return float(stats.binomtest(above, different).pvalue)
 
 
 def _fisher(a: np.ndarray, b: np.ndarray) -> float:
@@ -108,16 +112,19 @@ def _welch(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
     square = sum(squares)
     shares = [part**2 / max(len(values) - 1, 1) for part, values in zip(squares, (a, b), strict=True)]
     freedom = square**2 / sum(shares) if square else 0.0
-    return _two_sided(b.mean() - a.mean(), square, freedom), 2 / math.comb(len(a) + len(b), len(a))
+    p = _two_sided(b.mean() - a.mean(), square, freedom)
+    permutations = math.comb(len(a) + len(b), len(a))
+    return p, 2 / permutations
 
 
 def _two_sided(mean: float, square: float, freedom: float) -> float:
     """The p-value of a mean of this squared standard error; 0 without any."""
     from scipy import stats
 
-    if square:
-        return 2 * float(stats.t.sf(abs(mean) / math.sqrt(square), freedom))
-    return 0.0
+    if not square:
+        return 0.0
+    statistic = abs(mean) / math.sqrt(square)
+    return 2 * float(stats.t.sf(statistic, freedom))
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -132,7 +139,8 @@ def holm(p: Sequence[float]) -> list[float]:
     largest = 0.0
     corrected = [math.nan] * len(p)
     for rank, (value, k) in enumerate(tests):
-        largest = max(largest, min(1.0, (len(tests) - rank) * value))
+        remaining = len(tests) - rank
+        largest = max(largest, min(1.0, remaining * value))
         corrected[k] = largest
     return corrected
 
@@ -171,7 +179,8 @@ def _resampled_means(values: np.ndarray, seed: int) -> np.ndarray:
     weights = _weights(len(values), seed)
     finite = np.isfinite(values)
     number = weights @ finite
-    return np.where(number > 0, weights @ np.where(finite, values, 0.0), np.nan) / np.maximum(number, 1)
+    total = weights @ np.where(finite, values, 0.0)
+    return np.where(number > 0, total, np.nan) / np.maximum(number, 1)
 
 
 def _newcombe(a: np.ndarray, b: np.ndarray, paired: bool) -> tuple[float, float]:
@@ -179,9 +188,17 @@ def _newcombe(a: np.ndarray, b: np.ndarray, paired: bool) -> tuple[float, float]
     p, p_low, p_high = _wilson(a)
     q, q_low, q_high = _wilson(b)
     phi = _phi(a, b) if paired else 0.0
-    down = (q - q_low) ** 2 - 2 * phi * (q - q_low) * (p_high - p) + (p_high - p) ** 2
-    up = (q_high - q) ** 2 - 2 * phi * (q_high - q) * (p - p_low) + (p - p_low) ** 2
-    return q - p - math.sqrt(max(down, 0.0)), q - p + math.sqrt(max(up, 0.0))
+
+    # How far each share may be below and above its estimate.
+    p_down = p - p_low
+    p_up = p_high - p
+    q_down = q - q_low
+    q_up = q_high - q
+    down = q_down**2 - 2 * phi * q_down * p_up + p_up**2
+    up = q_up**2 - 2 * phi * q_up * p_down + p_down**2
+    low = q - p - math.sqrt(max(down, 0.0))
+    high = q - p + math.sqrt(max(up, 0.0))
+    return low, high
 
 
 def _wilson(values: np.ndarray) -> tuple[float, float, float]:

@@ -76,10 +76,12 @@ def first(
     # The kernel's operands: rays, numbers of the view, then two of each family.
     operands = [_ray_table(shape), jnp.stack([radius, height])[None]]
     for family in families:
+        words = _words(family.in_sight)
         operands.append(family.table.reshape(1, -1))
-        operands.append(_words(family.in_sight).reshape(1, -1))
+        operands.append(words.reshape(1, -1))
 
-    outputs = batch(partial(_call, shape), results)(*operands)
+    call = batch(partial(_call, shape), results)
+    outputs = call(*operands)
     return tuple(output.reshape(tiles, programs * WIDTH)[:, :count] for output in outputs)
 
 
@@ -91,17 +93,20 @@ def _ray_table(shape: KernelShape) -> Array:
     tiles, width, count = columns.shape
     padding = (0, shape.programs * WIDTH - count)
     padded = np.pad(columns, ((0, 0), (0, 0), padding), mode="edge")
-    by_program = padded.reshape(tiles, width, shape.programs, WIDTH).swapaxes(1, 2)
+    by_column = padded.reshape(tiles, width, shape.programs, WIDTH)
+    by_program = by_column.swapaxes(1, 2)
     return jnp.asarray(by_program.reshape(1, -1), float)
 
 
 def _words(in_sight: Array) -> Array:
     """(tiles, words) int32, a bit for each body (tiles, K) in sight."""
     tiles, count = in_sight.shape
-    padded = jnp.pad(in_sight, ((0, 0), (0, -count % BITS))).reshape(tiles, -1, BITS)
+    padded = jnp.pad(in_sight, ((0, 0), (0, -count % BITS)))
+    padded = padded.reshape(tiles, -1, BITS)
     unsigned = np.uint32(1) << np.arange(BITS, dtype=np.uint32)
     bit = jax.lax.bitcast_convert_type(unsigned, jnp.int32)
-    return jnp.where(padded, bit[None, None, :], 0).sum(-1, dtype=jnp.int32)
+    bits = jnp.where(padded, bit[None, None, :], 0)
+    return bits.sum(-1, dtype=jnp.int32)
 
 
 def _call(shape: KernelShape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
@@ -135,7 +140,8 @@ def _kernel(shape: KernelShape, index: Callable[[int], Any], *references: Any) -
         tile_words = words.shape[0] // shape.rays.tiles
         first_word = program // shape.programs * tile_words
         test = partial(_test_body, family, table, beams, radius, height)
-        hit = jax.lax.fori_loop(0, tile_words, partial(_test_word, test, words, first_word), hit)
+        test_word = partial(_test_word, test, words, first_word)
+        hit = jax.lax.fori_loop(0, tile_words, test_word, hit)
         if family.scenery:
             scenery_hit = hit
 
@@ -157,7 +163,9 @@ def _beams_of_program(shape: KernelShape, ray_table: Any, program: Any) -> Beams
 def _test_word(test: Callable, words: Any, first_word: Any, word: Any, hit: tuple) -> tuple:
     """The first hit after the bodies of a word, which has a bit for each body in sight."""
     bits = words[first_word + word]
-    return jax.lax.while_loop(lambda carry: carry[0] != 0, partial(test, word), (bits, *hit))[1:]
+    test_body = partial(test, word)
+    _, *hit_after = jax.lax.while_loop(lambda carry: carry[0] != 0, test_body, (bits, *hit))
+    return tuple(hit_after)
 
 
 def _test_body(
@@ -168,10 +176,13 @@ def _test_body(
     body = word * BITS + (BITS - 1) - jax.lax.clz(bits & -bits)
     body_row = tuple(table[body * family.columns + column] for column in range(family.columns))
     distance = family.law(body_row, beams, radius, height)
-    return bits & (bits - 1), *_nearer(tuple(hit), distance, family.start + body)
+    other_bits = bits & (bits - 1)
+    return other_bits, *_nearer(tuple(hit), distance, family.start + body)
 
 
 def _nearer(hit: tuple[Array, ...], distance: Array, number: Any) -> tuple[Array, ...]:
-    if len(hit) == 1:
-        return (jnp.minimum(hit[0], distance),)
-    return jnp.minimum(hit[0], distance), jnp.where(distance >= hit[0], hit[1], number)
+    nearest, *numbers = hit
+    new = jnp.minimum(nearest, distance)
+    if not numbers:
+        return (new,)
+    return new, jnp.where(distance >= nearest, numbers[0], number)
