@@ -67,12 +67,14 @@ def _merge(clusters: Clusters, index: Int[Array, " N"], price: Float[Array, ""] 
 
     # A merger of two clusters adds n m / (n + m) |gap|^2 to the sum of squared distances (Ward 1963).
     gap = center[:, None, :] - center[None, :, :]  # (N, N, 2) m
-    alive = size > 0
-    pairs = alive[:, None] & alive[None, :] & (index[:, None] < index[None, :])
+    square = (gap * gap).sum(-1)
     size_1 = size[:, None]
     size_2 = size[None, :]
+    alive = size > 0
+    in_order = index[:, None] < index[None, :]
+    pairs = alive[:, None] & alive[None, :] & in_order
     both_sizes = jnp.where(pairs, size_1 + size_2, 1.0)
-    added = size_1 * size_2 / both_sizes * (gap * gap).sum(-1)  # (N, N) m2
+    added = size_1 * size_2 / both_sizes * square  # (N, N) m2
     cost = jnp.where(pairs, added, APART)
 
     # A merger saves the price of one group, so even the cheapest one pays only below that price.
@@ -90,8 +92,10 @@ def _merge(clusters: Clusters, index: Int[Array, " N"], price: Float[Array, ""] 
     # ``first`` is the lower index, so a cluster keeps the index of its first member.
     is_first = index == first
     is_second = index == second
-    label = jnp.where(pays & (label == second), first, label)
-    center = jnp.where(pays & is_first[:, None], mean[None, :], center)
+    joins = pays & (label == second)
+    label = jnp.where(joins, first, label)
+    moves = pays & is_first
+    center = jnp.where(moves[:, None], mean[None, :], center)
     without_second = jnp.where(is_second, 0.0, size)
     merged_size = jnp.where(is_first, total, without_second)
     size = jnp.where(pays, merged_size, size)
@@ -129,7 +133,9 @@ def match_groups(
     need = jnp.ceil(tolerance * real - 1e-4).astype(jnp.int32)
     spare = jnp.ceil((1 - tolerance) * real - 1e-4).astype(jnp.int32)
     others = size[None, :] - common
-    match = (common >= need[:, None]) & (others <= spare[:, None])  # (annotated, estimated)
+    enough = common >= need[:, None]
+    few_others = others <= spare[:, None]
+    match = enough & few_others  # (annotated, estimated)
 
     # A person alone is no group, or scenes of loners would raise both scores.
     is_group = size > 1
@@ -140,8 +146,9 @@ def match_groups(
     def take(free: Array, row: Array) -> tuple[Array, Array]:
         candidates = row & free
         chosen = jnp.argmax(candidates)
-        taken = candidates.any() & (index == chosen)
-        return free & ~taken, candidates.any()
+        exists = candidates.any()
+        taken = exists & (index == chosen)
+        return free & ~taken, exists
 
     _, hits = jax.lax.scan(take, jnp.ones(number, bool), match)
 

@@ -25,13 +25,15 @@ MAX_ROWS = 5_000_000
 def length(x: Array, y: Array) -> Array:
     """Euclidean length of (x, y); zero, with zero gradient, below 1e-12."""
     zero, square = _square(x, y)
-    return jnp.where(zero, 0.0, jnp.sqrt(square))
+    root = jnp.sqrt(square)
+    return jnp.where(zero, 0.0, root)
 
 
 def unit(x: Array, y: Array) -> tuple[Array, Array]:
     """(x, y) divided by its length; (0, 0), with zero gradient, where the length is below 1e-12."""
     zero, square = _square(x, y)
-    scale = jnp.where(zero, 0.0, 1.0 / jnp.sqrt(square))
+    inverse = 1.0 / jnp.sqrt(square)
+    scale = jnp.where(zero, 0.0, inverse)
     return x * scale, y * scale
 
 
@@ -39,7 +41,8 @@ def _square(x: Array, y: Array) -> tuple[Array, Array]:
     """Whether the square of a length counts as zero, and the square, or 1 where it does: the root has a gradient."""
     square = x * x + y * y
     zero = square < TINY
-    return zero, jnp.where(zero, 1.0, square)
+    square = jnp.where(zero, 1.0, square)
+    return zero, square
 
 
 def rotate(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:
@@ -63,7 +66,8 @@ def sum_vectors(x: Array, y: Array, axis: int) -> tuple[Array, Array]:
     XLA fuses this one reduction with the computation of x and y. Two reductions would write x and y to memory first,
     which makes a pairwise law 1.7 times slower on a GPU.
     """
-    total = jax.lax.complex(x, y).sum(axis)
+    vectors = jax.lax.complex(x, y)
+    total = vectors.sum(axis)
     return total.real, total.imag
 
 
@@ -177,7 +181,9 @@ def signed_distances_on_host(
     for batch in np.array_split(points, max(1, len(points) // HOST_BATCH)):
         distances = _distances_to_boxes(environment.obstacles, batch)
         to_boxes.append(distances.min(1, initial=np.inf))
-    to_edges = np.minimum(points - floor[:2], floor[2:] - points)  # (P, 2) m, in x and in y
+    lower = floor[:2]
+    upper = floor[2:]
+    to_edges = np.minimum(points - lower, upper - points)  # (P, 2) m, in x and in y
     return np.concatenate(to_boxes), to_edges.min(1)
 
 
@@ -192,8 +198,10 @@ def _distances_to_boxes(boxes: Obstacles, points: np.ndarray) -> np.ndarray:
     # How far a point is beyond the sides, along the box's own axes u and v.
     x = points[:, None, 0] - center[:, 0]  # (P, W)
     y = points[:, None, 1] - center[:, 1]
-    beyond_u = np.abs(cosine * x + sine * y) - half[:, 0]
-    beyond_v = np.abs(cosine * y - sine * x) - half[:, 1]
+    u = cosine * x + sine * y
+    v = cosine * y - sine * x
+    beyond_u = np.abs(u) - half[:, 0]
+    beyond_v = np.abs(v) - half[:, 1]
 
     out_u = np.maximum(beyond_u, 0.0)
     out_v = np.maximum(beyond_v, 0.0)
@@ -238,12 +246,13 @@ def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radi
     square = du * du + dv * dv
     to_center = jnp.abs(qu * dv - qv * du)  # times the length, as are the others
     beyond = to_center - hu * jnp.abs(dv) - hv * jnp.abs(du)
-    beside = (square > 0.0) & (beyond >= radius * jnp.sqrt(square))
+    limit = radius * jnp.sqrt(square)
+    beside = (square > 0.0) & (beyond >= limit)
 
     # From the box to each end.
-    apart = beside | _separated(pu, pv, qu, qv, hu, hv, radius)
-    apart = apart | _separated(qu, qv, pu, pv, hu, hv, radius)
-    return ~apart
+    beyond_p = _separated(pu, pv, qu, qv, hu, hv, radius)
+    beyond_q = _separated(qu, qv, pu, pv, hu, hv, radius)
+    return ~(beside | beyond_p | beyond_q)
 
 
 def _separated(pu, pv, qu, qv, hu, hv, radius) -> Array:
@@ -279,7 +288,8 @@ def build_obstacle_grid(obstacles: Obstacles, floor: Float[Array, "4"], cell: fl
     cell = max(cell, float(min_cell))
     shape = np.maximum(1, np.ceil(size / cell).astype(int))
     near = _obstacles_near_cells(obstacles, lower, cell, shape)
-    rows_max = max(1, int(near.sum(-1).max(initial=0)))
+    counts = near.sum(-1)
+    rows_max = max(1, int(counts.max(initial=0)))
     if shape[0] * shape[1] * rows_max > MAX_ROWS:
         raise InputError(f"up to {rows_max} obstacles are within {REACH:g} m of one place; use fewer and larger boxes.")
 
@@ -302,7 +312,8 @@ def _obstacles_near_cells(obstacles: Obstacles, lower: np.ndarray, cell: float, 
     """(X, Y, W) bool, whether an obstacle may be within ``REACH`` of a point of a cell."""
     x = lower[0] + (np.arange(shape[0]) + 0.5) * cell  # of the middles of the cells
     y = lower[1] + (np.arange(shape[1]) + 0.5) * cell
-    near = np.zeros((*shape, len(np.asarray(obstacles.yaw))), bool)
+    count = len(np.asarray(obstacles.yaw))
+    near = np.zeros((*shape, count), bool)
     reach = REACH + cell / np.sqrt(2)
     for i in range(shape[0]):  # by column: large floors would need too much memory at once
         column = np.stack([np.full_like(y, x[i]), y], -1)  # (Y, 2)
@@ -316,10 +327,10 @@ def obstacle_cells(
 ) -> tuple[Int[Array, "*places"], Int[Array, "*places"]]:
     """The grid's cell of each place x, y [m], or the nearest cell for places off the grid."""
     columns, rows = grid.rows.shape[:2]
-    i = jnp.floor((x - grid.origin[0]) / grid.cell).astype(jnp.int32)
-    i = jnp.clip(i, 0, columns - 1)
-    j = jnp.floor((y - grid.origin[1]) / grid.cell).astype(jnp.int32)
-    j = jnp.clip(j, 0, rows - 1)
+    i = jnp.floor((x - grid.origin[0]) / grid.cell)
+    i = jnp.clip(i.astype(jnp.int32), 0, columns - 1)
+    j = jnp.floor((y - grid.origin[1]) / grid.cell)
+    j = jnp.clip(j.astype(jnp.int32), 0, rows - 1)
     return i, j
 
 

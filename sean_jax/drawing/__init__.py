@@ -125,12 +125,13 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
         graph = None
         names = None
         time_step = 0.1
+        radius = layers.ROBOT_RADIUS
     else:
         environment = scenario.environment
         graph = graph_of(scenario)
         time_step = scenario.time_step
         names = tuple(name for name, _ in scenario.situations)
-    radius = layers.ROBOT_RADIUS if scenario is None else robots.radii(scenario)
+        radius = robots.radii(scenario)
     options: dict[str, Any] = dict(graph=graph, situations=names, time_step=time_step, robot_radius=radius)
     if not animate:
         return top_down(environment, frames=frames, **options)
@@ -391,7 +392,8 @@ def _window(floor: np.ndarray, points: np.ndarray) -> tuple[float, float, float,
     side = max(MIN_PANEL, *(high - low))
     lower = floor[:2]
     upper = floor[2:]
-    width, height = extent = np.minimum(side, upper - lower)
+    extent = np.minimum(side, upper - lower)
+    width, height = extent
     x0, y0 = np.clip((low + high - extent) / 2, lower, upper - extent)
     return x0, y0, x0 + width, y0 + height
 
@@ -415,7 +417,8 @@ def _draw_set(axes: Axes, environment: Environment, window: tuple, starts: _Star
     axes.add_collection(LineCollection(lines, colors=colors.ROBOT, linewidths=0.5, alpha=0.55, zorder=3))
 
     # Who walks a loop against its order meets the robot head-on, so arrows show both directions.
-    in_both_directions = bool((sets.way[sets.present & (sets.loop >= 0)] < 0).any())
+    in_loop = sets.present & (sets.loop >= 0)
+    in_both_directions = bool((sets.way[in_loop] < 0).any())
     for leg, count, walked in zip(starts.leg, sets.waypoints, sets.walked, strict=True):
         if np.isfinite(walked).any():  # padding has no length
             _draw_loop(axes, np.asarray(leg)[:count], side, in_both_directions)
@@ -445,7 +448,8 @@ def _draw_poses(axes: Axes, position: Array, heading: Array, side: float, marker
     """Draw poses of the robot, with ticks along the headings, in a panel of a side [m]."""
     from matplotlib.collections import LineCollection
 
-    ticks = np.stack([position, position + 0.04 * side * heading], 1)
+    tips = position + 0.04 * side * heading
+    ticks = np.stack([position, tips], 1)
     axes.add_collection(LineCollection(list(ticks), colors=colors.ROBOT_EDGE, linewidths=0.8, zorder=8))
     style: Any = dict(markerfacecolor=face, markeredgecolor=colors.ROBOT_EDGE, markeredgewidth=0.8)
     axes.plot(*position.T, linestyle="", marker=marker, markersize=4.2, zorder=9, **style)

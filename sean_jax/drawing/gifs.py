@@ -90,12 +90,13 @@ def video(frames: Trajectory, scenario: Scenario, path: Target, *, view: str | C
     from PIL import Image
 
     check_gif_path(path)
-    eye = camera(scenario, view, width=WIDTH, height=HEIGHT) if isinstance(view, str) else view
+    if isinstance(view, str):
+        view = camera(scenario, view, width=WIDTH, height=HEIGHT)
     frames = layers.one_episode(frames)
     every = max(1, round(SPEED / RATE / scenario.time_step))
     steps = _steps_of_film(frames, every)
     shown = jax.tree.map(lambda leaf: leaf[steps], frames)
-    pictures = [Image.fromarray(picture) for picture in render_frames(shown, scenario, eye)]
+    pictures = [Image.fromarray(picture) for picture in render_frames(shown, scenario, view)]
     pause = every * scenario.time_step / SPEED
     save_gif(path, len(pictures), pictures.__getitem__, pause)
 
@@ -240,7 +241,8 @@ def _break_rows(draw: ImageDraw.ImageDraw, situations: list, font: ImageFont.Fre
 
 def _row_length(draw: ImageDraw.ImageDraw, situations: list, font: ImageFont.FreeTypeFont) -> float:
     """Width in pixels of the names of situations in one row."""
-    lengths = (draw.textlength(name.replace("_", " "), font=font) + font.size for name, _ in situations)
+    labels = [name.replace("_", " ") for name, _ in situations]
+    lengths = (draw.textlength(label, font=font) + font.size for label in labels)
     return sum(lengths) - font.size
 
 
@@ -272,7 +274,8 @@ class _Film:
         self.group = frames.group
         self.present = np.asarray(frames.present, bool)
         heading = FLIP * frames.people_heading
-        self.heading_ends = self.people + heading * (1.9 * layers.PERSON_RADIUS * self.metre)
+        tick = 1.9 * layers.PERSON_RADIUS * self.metre  # pixels
+        self.heading_ends = self.people + heading * tick
 
         # The robot and the other ones of its team.
         others = layers.other_robots(frames)  # (R, T, 6)
@@ -284,7 +287,8 @@ class _Film:
         self.heading = FLIP * frames.heading
         self.path_colors = layers.step_colors(frames, situations)
         self.others = pixels(others[..., :2])
-        self.other_noses = self.others + FLIP * others[..., 2:4] * (2.2 * self.other_radii[:, None, None])
+        other_headings = FLIP * others[..., 2:4]
+        self.other_noses = self.others + other_headings * (2.2 * self.other_radii[:, None, None])
         self.goals = [pixels(frames.goal[-1]), *pixels(others[:, -1, 4:])]
 
     def picture(self, t: int) -> Image.Image:
@@ -306,11 +310,13 @@ class _Film:
 
     def _draw_goals(self, draw: ImageDraw.ImageDraw) -> None:
         """The robot's start, and the goals of all robots, of which its own is bolder."""
-        _disc(draw, self.path[0], START_RADIUS * self.metre, outline=colors.ROBOT, width=2 * self.line)
-        for index, goal in enumerate(self.goals):
-            width = self.line if index else 2 * self.line
+        bold = 2 * self.line
+        _disc(draw, self.path[0], START_RADIUS * self.metre, outline=colors.ROBOT, width=bold)
+        width = bold
+        for goal in self.goals:
             _disc(draw, goal, GOAL_RADIUS * self.metre, outline=colors.ROBOT, width=width)
             _disc(draw, goal, TARGET_RADIUS * self.metre, fill=colors.ROBOT)
+            width = self.line
 
     def _draw_path(self, draw: ImageDraw.ImageDraw, t: int) -> None:
         for first in range(0, t, self.every):

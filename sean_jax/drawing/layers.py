@@ -54,10 +54,10 @@ def situation_names(frames: Trajectory, names: Sequence[str] | None) -> tuple[st
         InputError: there are not S names.
     """
     number = np.shape(frames.situations)[-1]
+    paper = tuple(colors.SITUATION_COLORS)
+    if names is None and number == len(paper):
+        return paper
     if names is None:
-        paper = tuple(colors.SITUATION_COLORS)
-        if number == len(paper):
-            return paper
         return tuple(f"situation_{index}" for index in range(1, number + 1))
     if len(names) != number:
         raise InputError(f"situations: {len(names)} names for frames with {number} situations; give one name for each.")
@@ -68,7 +68,8 @@ def situation_indices(frames: Trajectory) -> np.ndarray:
     """(T,) int, the first situation that holds in each step, S if none holds."""
     flags = np.asarray(frames.situations, bool)
     none = np.ones((*flags.shape[:-1], 1), bool)
-    return np.concatenate([flags, none], -1).argmax(-1)
+    flags = np.concatenate([flags, none], -1)
+    return flags.argmax(-1)
 
 
 def step_colors(frames: Trajectory, situations: Sequence[str]) -> list[str]:
@@ -91,7 +92,9 @@ def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, 
     top = y1 + margin
     width_shown = span * (1 + 2 * MARGIN)
     floor_height = width * (top - bottom) / width_shown
-    height = floor_height + (0.32 if title else 0.0)
+    height = floor_height
+    if title:
+        height += 0.32
 
     figure = Figure(figsize=(width, height), facecolor=colors.PAPER)
     FigureCanvasAgg(figure)
@@ -131,10 +134,11 @@ def draw_obstacles(axes: Axes, environment: Environment) -> None:
 def _box_outlines(boxes: Obstacles) -> list[np.ndarray]:
     """(4, 2) m, the corners of each box."""
     signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], float)
-    u, v = np.moveaxis(np.asarray(boxes.half_extent)[:, None] * signs, -1, 0)  # (K, 4) each
+    offsets = np.asarray(boxes.half_extent)[:, None] * signs  # (K, 4, 2) m
+    u, v = np.moveaxis(offsets, -1, 0)
     cosine = np.cos(boxes.yaw)[:, None]
     sine = np.sin(boxes.yaw)[:, None]
-    center_x, center_y = boxes.center.T[..., None]
+    center_x, center_y = boxes.center.T[..., None]  # (K, 1) m each
     x = center_x + cosine * u - sine * v
     y = center_y + sine * u + cosine * v
     return list(np.stack([x, y], -1))
@@ -151,8 +155,9 @@ def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
     radius = np.asarray(graph.radius)[:count]
     is_group = np.asarray(graph.is_group, bool)[:count]
     color = colors.EDGE if alone else colors.FAINT_EDGE
+    is_waypoint = ~is_group
     _draw_edges(axes, position, np.asarray(graph.flow), color)
-    _draw_nodes(axes, position[~is_group], radius[~is_group], color, "-")
+    _draw_nodes(axes, position[is_waypoint], radius[is_waypoint], color, "-")
     _draw_nodes(axes, position[is_group], radius[is_group], colors.MEMBER, "--")
     if alone:
         _draw_node_names(axes, graph.names, position, radius, is_group)
@@ -171,11 +176,17 @@ def _draw_edges(axes: Axes, position: np.ndarray, flows: np.ndarray, color: str)
         end = position[v]
         if flow == "backward":
             start, end = end, start
-        lines.append((start, end))
-        styles.append((0, (1, 1.6)) if flow == "low" else "-")
-        widths.append(2.6 if flow == "high" else 1.2)
-        if flow in ("forward", "backward"):
+        style: Any = "-"
+        width = 1.2
+        if flow == "low":
+            style = (0, (1, 1.6))  # dots
+        elif flow == "high":
+            width = 2.6
+        elif flow in ("forward", "backward"):
             _draw_direction(axes, start, end, color)
+        lines.append((start, end))
+        styles.append(style)
+        widths.append(width)
     axes.add_collection(LineCollection(lines, colors=color, linewidths=widths, linestyles=styles, zorder=3))
 
 
@@ -192,9 +203,10 @@ def _draw_direction(axes: Axes, start: np.ndarray, end: np.ndarray, color: str) 
 def _draw_nodes(axes: Axes, position: np.ndarray, radius: np.ndarray, color: str, line: str) -> None:
     """Faint discs with an outline."""
     size = 2 * radius
-    for alpha, face, edge in ((0.16, color, "none"), (1.0, "none", color)):
-        style = dict(facecolors=face, edgecolors=edge, alpha=alpha, linewidths=0.9, linestyles=line, zorder=3)
-        _draw_ellipses(axes, position, size, size, np.zeros_like(size), style)
+    angle = np.zeros_like(size)
+    outline = dict(linewidths=0.9, linestyles=line, zorder=3)
+    _draw_ellipses(axes, position, size, size, angle, dict(facecolors=color, edgecolors="none", alpha=0.16) | outline)
+    _draw_ellipses(axes, position, size, size, angle, dict(facecolors="none", edgecolors=color, alpha=1.0) | outline)
 
 
 def _draw_node_names(
@@ -229,9 +241,11 @@ def draw_trails(axes: Axes, frames: Trajectory, steps: int) -> None:
     walked = (present[:-1] & present[1:]).ravel()  # people who are absent at one end did not walk there
 
     # Trails fade with age.
-    opacity = 0.75 * np.linspace(0.03, 1.0, len(segments))[:, None] ** 1.6
+    age = np.linspace(0.03, 1.0, len(segments))[:, None]  # from the oldest
+    opacity = 0.75 * age**1.6
     color = np.tile(to_rgb(colors.TRAIL), (len(segments), 1))
-    shades = np.repeat(np.concatenate([color, opacity], 1), people.shape[1], 0)
+    shades = np.concatenate([color, opacity], 1)
+    shades = np.repeat(shades, people.shape[1], 0)  # for each person
     lines = list(segments.reshape(-1, 2, 2)[walked])
     trails = LineCollection(lines, colors=shades[walked], linewidths=1.1, zorder=4)
     trails.set_rasterized(True)  # thousands of segments: an image is smaller than their outlines
@@ -261,8 +275,11 @@ def draw_discs(
     """
     from matplotlib.collections import LineCollection
 
-    ticks = np.stack([position, position + 1.9 * radius * heading], 1)
+    tips = position + 1.9 * radius * heading
+    ticks = np.stack([position, tips], 1)
     axes.add_collection(LineCollection(list(ticks), colors=colors.PERSON_EDGE, linewidths=linewidth + 0.1, zorder=6))
+
+    # From shoulder to shoulder, and less deep.
     across = np.full(len(position), 2 * radius)
     angles = np.degrees(np.arctan2(heading[:, 1], heading[:, 0]))
     faces = [colors.MEMBER if is_member else colors.PERSON for is_member in member]
@@ -334,8 +351,10 @@ def _draw_path(axes: Axes, path: np.ndarray, shades: list[str]) -> None:
     from matplotlib.collections import LineCollection
 
     axes.plot(*path.T, color=colors.PAPER, linewidth=5.0, solid_capstyle="round", zorder=8)
-    changes = [shade != before for shade, before in zip(shades[1:], shades[:-1], strict=True)]
-    starts = np.flatnonzero([True, *changes])
+    starts = [0]
+    for step in range(1, len(shades)):
+        if shades[step] != shades[step - 1]:
+            starts.append(step)
     ends = [*starts[1:], len(path)]
     runs = [path[max(start - 1, 0) : end] for start, end in zip(starts, ends, strict=True)]
     run_colors = [shades[start] for start in starts]
@@ -380,7 +399,9 @@ def draw_heat(axes: Axes, environment: Environment, density: np.ndarray, label: 
 
     x0, y0, x1, y1 = map(float, np.asarray(environment.floor))
     busy = density[density > 0]
-    highest = float(np.quantile(busy, 0.97)) if busy.size else 1.0
+    highest = 1.0
+    if busy.size:
+        highest = float(np.quantile(busy, 0.97))
     image = axes.imshow(
         density,
         extent=(x0, x1, y0, y1),
@@ -392,7 +413,8 @@ def draw_heat(axes: Axes, environment: Environment, density: np.ndarray, label: 
         zorder=1,
     )
     span = x1 - x0
-    bounds = (x1 - 0.38 * span, y0 - 0.034 * span, 0.38 * span, 0.014 * span)
+    width = 0.38 * span
+    bounds = (x1 - width, y0 - 0.034 * span, width, 0.014 * span)
     below = axes.inset_axes(bounds, transform=axes.transData)
     bar = axes.get_figure().colorbar(image, cax=below, orientation="horizontal", extend="max", ticks=MaxNLocator(3))  # pyright: ignore[reportOptionalMemberAccess]
     bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
@@ -440,7 +462,8 @@ def _band(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
     length = max(float(np.hypot(*along)), 1e-9)
     along = along / length
     right = np.array([along[1], -along[0]]) * width
-    tip = end - along * min(1.5 * width, 0.5 * length)
+    tip_length = min(1.5 * width, 0.5 * length)
+    tip = end - along * tip_length
     return np.stack([start, start + right, tip + right, end, end])
 
 
@@ -468,7 +491,8 @@ def draw_legend(axes: Axes, graph: bool, frames: Trajectory | None, situations: 
         return
 
     handles, labels = zip(*entries, strict=True)
-    columns = max(5 if frames is not None else 4, -(-len(entries) // 3))  # three rows fit below the floor
+    columns = 4 if frames is None else 5
+    columns = max(columns, -(-len(entries) // 3))  # three rows fit below the floor
     legend = axes.legend(
         handles, labels, loc="lower right", bbox_to_anchor=(1.0 - MARGIN, 0.0),
         ncols=columns, fontsize=7.5 if columns < 6 else 6.5,
@@ -481,11 +505,12 @@ def draw_legend(axes: Axes, graph: bool, frames: Trajectory | None, situations: 
 
 def _episode_marks() -> list[tuple[Any, str]]:
     """Marks and labels of robot and people."""
-    goal = mark("o", "none", colors.ROBOT, 8.5), mark("o", colors.ROBOT, colors.ROBOT, 3)
+    ring = mark("o", "none", colors.ROBOT, 8.5)
+    disc = mark("o", colors.ROBOT, colors.ROBOT, 3)
     return [
         (mark("o", colors.ROBOT, colors.ROBOT_EDGE, 6.5), "robot"),
         (mark("o", colors.PAPER, colors.ROBOT, 6.5), "start"),
-        (goal, "goal"),
+        ((ring, disc), "goal"),
         (mark("o", colors.PERSON, colors.PERSON_EDGE, 6.5), "person"),
         (mark("o", colors.MEMBER, colors.PERSON_EDGE, 6.5), "in a group"),
     ]

@@ -27,7 +27,8 @@ def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float
     position, velocity = motion
     torque = model.servo_gain * (targets[0] - velocity[3])
     torque = jnp.clip(torque, -model.servo_torque, model.servo_torque)
-    free = velocity[:4].at[3].add(model.time_step * torque / model.wheel_inertia)
+    change = model.time_step * torque / model.wheel_inertia
+    free = velocity[:4].at[3].add(change)
     angle, rate = _steer(model, position[4], targets[1])
 
     # The ground and the contacts act on the velocity that the servo alone would give.
@@ -89,7 +90,8 @@ def ground_impulse(
     # The axles share the weight, and each has its friction circle.
     grip = model.friction * mass * GRAVITY * model.time_step / car.wheelbase  # N s a metre
     drive, hold = clip_length(drive, hold, grip * to_front)
-    steer = jnp.clip(steer, -grip * to_rear, grip * to_rear)
+    max_steer = grip * to_rear
+    steer = jnp.clip(steer, -max_steer, max_steer)
 
     # Contacts act after the tyres.
     wheel_cosine = jnp.cos(angle)
@@ -120,10 +122,12 @@ def _slip(model: RobotModel, angle: Array, velocity: tuple[Array, Array], free: 
     car = steering(model)
     ahead, left = velocity
     to_front = car.wheelbase - car.rear_axle
-    front_left = left + to_front * free[2]
+    turn_rate = free[2]
+    wheel_rate = free[3]
+    front_left = left + to_front * turn_rate
     return Slip(
-        rear_ahead=ahead - model.wheel_radius * free[3],
-        rear_aside=left - car.rear_axle * free[2],
+        rear_ahead=ahead - model.wheel_radius * wheel_rate,
+        rear_aside=left - car.rear_axle * turn_rate,
         front_across=jnp.cos(angle) * front_left - jnp.sin(angle) * ahead,
     )
 
@@ -143,7 +147,8 @@ def _impulses_against(model: RobotModel, angle: Array, slip: Slip) -> tuple[Arra
     # The slip that a unit of each impulse removes: its own, and that of the other tyre.
     ahead = 1.0 / mass + model.wheel_radius * model.wheel_radius / model.wheel_inertia
     aside = 1.0 / mass + to_rear * to_rear / model.inertia
-    across = sine * sine / mass + cosine * cosine * (1.0 / mass + to_front * to_front / model.inertia)
+    front_aside = 1.0 / mass + to_front * to_front / model.inertia
+    across = sine * sine / mass + cosine * cosine * front_aside
     ahead_across = -sine / mass
     aside_across = cosine * (1.0 / mass - to_rear * to_front / model.inertia)
 
@@ -183,8 +188,9 @@ def steering_angle(
     max_tangent = jnp.tan(car.max_angle)
     rise = car.wheelbase * turn_rate  # the tangent is rise / speed
     within = jnp.abs(rise) < max_tangent * jnp.abs(speed)
+    divisor = jnp.where(within, speed, 1.0)
     side = jnp.where(speed < 0.0, -1.0, 1.0) * jnp.sign(rise)
-    tangent = jnp.where(within, rise / jnp.where(within, speed, 1.0), side * max_tangent)
+    tangent = jnp.where(within, rise / divisor, side * max_tangent)
     stands = (speed == 0.0) & (turn_rate == 0.0)
     return jnp.where(stands, hold, jnp.arctan(tangent))
 

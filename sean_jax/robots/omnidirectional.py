@@ -34,13 +34,15 @@ def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float
     # Servos push in the robot's frame.
     ahead, left = rotate(velocity[0], velocity[1], cosine, -sine)
     rates = jnp.stack([ahead, left, velocity[2]])
-    push = jnp.clip(gain * (targets - rates), -max_force, max_force)
+    push = gain * (targets - rates)
+    push = jnp.clip(push, -max_force, max_force)
     push_x, push_y = rotate(push[0], push[1], cosine, sine)
     push = jnp.stack([push_x, push_y, push[2]])
 
     # The ground and the contacts act on the velocity that the servos alone would give.
     free = velocity + model.time_step * push / mass
-    velocity = free + ground_impulse(model, touch, motion, free) / mass
+    impulse = ground_impulse(model, touch, motion, free)
+    velocity = free + impulse / mass
     position = position + model.time_step * velocity
     return position, velocity
 
@@ -48,7 +50,9 @@ def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float
 def mjx_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "3"]) -> Motion:
     """One physics step by MJX; arguments as of ``twin_substep``."""
     ground = functools.partial(ground_impulse, model, touch, motion)
-    return mjx_advance(model, diagonal(model), _servo(model), motion, targets, ground)
+    inertia = diagonal(model)
+    servo = _servo(model)
+    return mjx_advance(model, inertia, servo, motion, targets, ground)
 
 
 def ground_impulse(model: RobotModel, touch: Touch, motion: Motion, free: Float[Array, "3"]) -> Float[Array, "3"]:
@@ -60,7 +64,9 @@ def ground_impulse(model: RobotModel, touch: Touch, motion: Motion, free: Float[
     position, velocity = motion
     # From the middle of the last step to that of this one the body turns its velocity along.
     turned = 0.5 * model.time_step * (velocity[2] + free[2])
-    vx, vy = rotate(free[0], free[1], jnp.cos(turned), jnp.sin(turned))
+    cosine = jnp.cos(turned)
+    sine = jnp.sin(turned)
+    vx, vy = rotate(free[0], free[1], cosine, sine)
 
     # Friction limits the change of the velocity; contacts act after it.
     limit = model.friction * GRAVITY * model.time_step
@@ -68,7 +74,8 @@ def ground_impulse(model: RobotModel, touch: Touch, motion: Motion, free: Float[
     vx, vy = touch(position, velocity[0] + dx, velocity[1] + dy)
     impulse_x = model.mass * (vx - free[0])
     impulse_y = model.mass * (vy - free[1])
-    return jnp.stack([impulse_x, impulse_y, jnp.zeros_like(vx)])
+    no_turn = jnp.zeros_like(vx)
+    return jnp.stack([impulse_x, impulse_y, no_turn])
 
 
 def diagonal(model: RobotModel) -> Float[Array, "3"]:

@@ -95,7 +95,8 @@ def _append(people: Pedestrians, position: Array, velocity: Array, heading: Arra
         preferred_speed=length(velocity[:, 0], velocity[:, 1]),
     )
     if bodies.reaction is not None:
-        bodies = replace(bodies, reaction=replace(bodies.reaction, alertness=jnp.ones(count, float)))
+        alert = replace(bodies.reaction, alertness=jnp.ones(count, float))
+        bodies = replace(bodies, reaction=alert)
     return jax.tree.map(lambda people, bodies: jnp.concatenate([people, bodies]), people, bodies)
 
 
@@ -114,7 +115,9 @@ def _move_solids(solids: Solids, position: Float[Array, "2"], heading: Float[Arr
 
     def move(table: Array) -> list[Array]:  # the columns of a table
         x, y = rotate(table[:, 0], table[:, 1], heading[0], heading[1])
-        return [x + position[0], y + position[1], *table[:, 2:].T]
+        x = x + position[0]
+        y = y + position[1]
+        return [x, y, *table[:, 2:].T]
 
     *box, cosine, sine = move(solids.boxes)
     yaw = rotate(cosine, sine, heading[0], heading[1])
@@ -147,9 +150,10 @@ def _join(first: Solids, second: Solids) -> Solids:
 
 def _colors(solids: Solids) -> list[Array]:
     """The colors of boxes, of cylinders and of spheres."""
-    boxes = solids.boxes.shape[-2]
-    cylinders = solids.cylinders.shape[-2]
-    return jnp.split(jnp.asarray(solids.color), [boxes, boxes + cylinders], axis=-2)
+    color = jnp.asarray(solids.color)
+    boxes_end = solids.boxes.shape[-2]
+    cylinders_end = boxes_end + solids.cylinders.shape[-2]
+    return jnp.split(color, [boxes_end, cylinders_end], axis=-2)
 
 
 def models_of_others(models: RobotModel, number: int) -> RobotModel:

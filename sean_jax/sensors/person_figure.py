@@ -88,7 +88,8 @@ def trace_figures(
     index = jnp.maximum(person, 0)
     heading = state.pedestrians.heading
     robot_heading = state.robot.heading
-    look = jnp.stack(rotate(heading[:, 0], heading[:, 1], robot_heading[0], -robot_heading[1]), -1)  # (N, 2)
+    look_x, look_y = rotate(heading[:, 0], heading[:, 1], robot_heading[0], -robot_heading[1])
+    look = jnp.stack([look_x, look_y], -1)  # (N, 2)
     foot = left_foot(state)[:, None]
     people = jnp.concatenate([look, view.people, foot], -1).T  # (5, N)
     look_x, look_y, x, y, foot = (column[index] for column in people)  # (tiles, rays) each
@@ -127,7 +128,8 @@ def left_foot(state: State) -> Float[Array, "N"]:
     """How far [m] each person's left foot is ahead of the body, and the right one behind it."""
     people = state.pedestrians
     along_way = (people.position * people.heading).sum(-1)
-    speed = jnp.sqrt((people.velocity * people.velocity).sum(-1) + 1e-12)
+    square = (people.velocity * people.velocity).sum(-1)
+    speed = jnp.sqrt(square + 1e-12)
     reach = SPREAD * jnp.minimum(speed, 1.0)
     phase = 2.0 * jnp.pi / STRIDE * along_way
     return reach * jnp.sin(phase)
@@ -260,10 +262,12 @@ def _clothes(person: Array, part: Array, forward: Array, up: Array, count: int) 
 
 def shirts(count: int) -> tuple[Array, Array, Array]:
     """Red, green and blue (N,) of each person's shirt, from 0 to 1; people with successive indices differ most."""
-    hue = jnp.mod(jnp.arange(count, dtype=float) * 0.618034 + 0.08, 1.0)
+    index = jnp.arange(count, dtype=float)
+    hue = jnp.mod(index * 0.618034 + 0.08, 1.0)
 
     def channel(shift: float) -> Array:
         distance = jnp.abs(jnp.mod(hue + shift, 1.0) * 6.0 - 3.0)
-        return 0.35 + 0.5 * jnp.clip(distance - 1.0, 0.0, 1.0)
+        saturated = jnp.clip(distance - 1.0, 0.0, 1.0)
+        return 0.35 + 0.5 * saturated
 
     return channel(0.0), channel(2.0 / 3.0), channel(1.0 / 3.0)

@@ -41,17 +41,16 @@ def box_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     du, dv = to_frame(beams.direction.x, beams.direction.y, cosine, sine)
     inverse = Vector(_inverse(du), _inverse(dv), beams.inverse_rise)
     qu, qv = to_frame(q.x, q.y, cosine, sine)
-    middle = Vector(qu * inverse.x, qv * inverse.y, q.z * inverse.z)
-    inside_x = half.x * jnp.abs(inverse.x)
-    inside_y = half.y * jnp.abs(inverse.y)
-    inside_z = half.z * jnp.abs(inverse.z)
-    inside = Vector(inside_x, inside_y, inside_z)
+    middle = Vector(qu, qv, q.z).scaled(inverse)
+    inside = half.scaled(Vector(*map(jnp.abs, inverse)))
 
     # It is in the box while it is between all three pairs of sides.
     enter = middle - inside
     leave = middle + inside
-    near = jnp.maximum(jnp.maximum(enter.x, enter.y), enter.z)
-    far = jnp.minimum(jnp.minimum(leave.x, leave.y), leave.z)
+    near = jnp.maximum(enter.x, enter.y)
+    near = jnp.maximum(near, enter.z)
+    far = jnp.minimum(leave.x, leave.y)
+    far = jnp.minimum(far, leave.z)
     return _ahead(near <= far, near)
 
 
@@ -71,12 +70,14 @@ def cylinder_distance(row: Row, beams: Beams, radius: Array, height: Array) -> A
 
     # Across the axis the cylinder is a disc.
     square = dot(across_d, across_d)
-    inverse_square = jnp.where(square > 1e-12, 1.0 / jnp.where(square > 1e-12, square, 1.0), 0.0)
+    is_across = square > 1e-12
+    inverse_square = jnp.where(is_across, 1.0 / jnp.where(is_across, square, 1.0), 0.0)
     middle = dot(across_q, across_d) * inverse_square
     closest = across_q - across_d * middle
     free = radius * radius - dot(closest, closest)
     touches = free > 0.0
-    chord_square = jnp.where(touches & (inverse_square > 0.0), free * inverse_square, 1.0)
+    has_chord = touches & (inverse_square > 0.0)
+    chord_square = jnp.where(has_chord, free * inverse_square, 1.0)
     chord = _root(chord_square)
 
     # Along the axis it is a slab, as in a box. A ray along the axis never leaves the round part.
@@ -98,9 +99,8 @@ def sphere_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Arr
 def person_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     """Distance to a person: ``low_person_distance``, shoulders and head."""
     feet = _feet(row, beams, height)
-    d = beams.direction
-    shoulders = _ball(Vector(feet.x, feet.y, feet.z + SHOULDER), radius, d)
-    head = _ball(Vector(feet.x, feet.y, feet.z + HEAD), HEAD_RADIUS, d)
+    shoulders = _ball(feet.raised(SHOULDER), radius, beams.direction)
+    head = _ball(feet.raised(HEAD), HEAD_RADIUS, beams.direction)
     rounded = jnp.minimum(shoulders, head)
     upright = _upright_cylinder(feet, beams, radius)
     return jnp.minimum(upright, rounded)
@@ -129,7 +129,8 @@ def _upright_cylinder(q: Vector, beams: Beams, radius: Array) -> Array:
     chord_square = jnp.where(touches, free * beams.inverse_run, 1.0)
     side = middle - _root(chord_square)
     up = side * d.z - q.z
-    return jnp.where(touches & (side > 0.0) & (up <= SHOULDER), side, MISS)
+    meets = touches & (side > 0.0) & (up <= SHOULDER)
+    return jnp.where(meets, side, MISS)
 
 
 def _ball(q: Vector, radius: Array | float, d: Vector) -> Array:
@@ -145,7 +146,8 @@ def _ball(q: Vector, radius: Array | float, d: Vector) -> Array:
 
 def _ahead(meets: Array, distance: Array) -> Array:
     """The distance where a ray meets the body ahead of its start, else ``MISS``."""
-    return jnp.where(meets & (distance > 0.0), distance, MISS)
+    is_ahead = distance > 0.0
+    return jnp.where(meets & is_ahead, distance, MISS)
 
 
 def _root(square: Array) -> Array:
@@ -155,7 +157,8 @@ def _root(square: Array) -> Array:
 
 def _inverse(value: Array) -> Array:
     """Reciprocal, as fast as ``_root``; 1e-9 stands for values nearer to zero."""
-    value = jnp.where(jnp.abs(value) < STEEP, STEEP, value)
+    is_small = jnp.abs(value) < STEEP
+    value = jnp.where(is_small, STEEP, value)
     size = jax.lax.rsqrt(value * value)
     return jnp.where(value < 0.0, -size, size)
 
@@ -171,9 +174,10 @@ def box_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vector:
     w = point.z - row[2]
 
     # The point lies on the side beyond which it is farthest.
-    over_u = jnp.abs(u) - row[3]
-    over_v = jnp.abs(v) - row[4]
-    over_w = jnp.abs(w) - row[5]
+    half = _vector(row, 3)
+    over_u = jnp.abs(u) - half.x
+    over_v = jnp.abs(v) - half.y
+    over_w = jnp.abs(w) - half.z
     on_u = (over_u >= over_v) & (over_u >= over_w)
     on_v = over_v >= over_w
 
@@ -203,8 +207,9 @@ def cylinder_normal(row: Row, point: Vector, radius: Array, height: Array) -> Ve
 
 def sphere_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vector:
     """Normal of a sphere."""
+    radius = row[3]
     outward = point - _vector(row, 0)
-    return Vector(outward.x / row[3], outward.y / row[3], outward.z / row[3])
+    return Vector(outward.x / radius, outward.y / radius, outward.z / radius)
 
 
 def person_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vector:
@@ -217,4 +222,6 @@ def person_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vect
     size = jnp.where(in_head, HEAD_RADIUS, radius)
     over_shoulder = jnp.maximum(up - SHOULDER, 0.0)
     z = jnp.where(in_head, up - HEAD, over_shoulder)
+
+    # The outward vector, over the radius of its sphere.
     return Vector(x / size, y / size, z / size)

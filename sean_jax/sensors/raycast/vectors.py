@@ -21,6 +21,14 @@ class Vector(NamedTuple):
     def __mul__(self, factor: Any) -> "Vector":
         return Vector(factor * self.x, factor * self.y, factor * self.z)
 
+    def scaled(self, factors: "Vector") -> "Vector":
+        """The vector with each component multiplied by one of its own."""
+        return Vector(self.x * factors.x, self.y * factors.y, self.z * factors.z)
+
+    def raised(self, height: Any) -> "Vector":
+        """The vector to a place that is higher."""
+        return Vector(self.x, self.y, self.z + height)
+
 
 def dot(a: Vector, b: Vector) -> Array:
     """The inner product."""

@@ -206,8 +206,12 @@ def rooms(floor: Floor, corridor: float, door: float, room: float, furniture: fl
         count = max(2, round(floor.width / room))
         cuts = np.linspace(0.0, floor.width, count + 1)
         cuts[1:-1] += draw.uniform(-0.15, 0.15, count - 1) * room
-        inner_low = low if wall == high else low + WALL / 2
-        inner_high = high - WALL / 2 if wall == high else high
+        inner_low = low
+        inner_high = high
+        if wall == high:
+            inner_high = high - WALL / 2
+        else:
+            inner_low = low + WALL / 2
         for x in cuts[1:-1].tolist():
             floor.wall(x, inner_low, x, inner_high)
 

@@ -48,10 +48,10 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
     graph = _Graph(floor)
 
     # Where people come from and go to, and then where most of the floor is out of sight.
-    ends = np.zeros((0, 2)) if ends is None else np.asarray(ends, float)
-    for end in _clusters(ends):
-        distance = np.linalg.norm(floor.cells - end, axis=-1)
-        graph.add(int(np.argmin(distance)))
+    if ends is not None:
+        for end in _clusters(np.asarray(ends, float)):
+            distance = np.linalg.norm(floor.cells - end, axis=-1)
+            graph.add(int(np.argmin(distance)))
     n_ends = len(graph.nodes)
     while len(unseen := graph.unseen()) > UNSEEN * len(floor.cells):
         clearance = floor.clearance[unseen]
@@ -62,11 +62,14 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
     connected = _connect(graph)
     chosen = _needed(graph, connected, n_ends)
     cells = [graph.nodes[k] for k in chosen]
+    position = floor.cells[cells]
+    clearance = floor.clearance[cells]
     sees = np.array([graph.sights[k][cells] for k in chosen])  # (M, M)
+    visible = sees | sees.T
     n_chosen_ends = sum(k < n_ends for k in chosen)
     names = [f"end_{k + 1}" for k in range(n_chosen_ends)]
     names += [f"place_{k + 1}" for k in range(len(chosen) - n_chosen_ends)]
-    return _annotation(environment, names, floor.cells[cells], floor.clearance[cells], sees | sees.T)
+    return _annotation(environment, names, position, clearance, visible)
 
 
 class _Floor:
@@ -114,7 +117,10 @@ class _Graph:
 
     def components(self, among: list[int] | None = None) -> list[list[int]]:
         """The nodes, or some among them, that are joined by sight, component by component."""
-        index = np.arange(len(self.nodes)) if among is None else np.sort(among)
+        if among is None:
+            index = np.arange(len(self.nodes))
+        else:
+            index = np.sort(among)
         cells = np.asarray(self.nodes)[index]
         visible = np.array([self.sights[k][cells] for k in index])
         visible = visible.reshape(len(index), len(index))  # without nodes, too
@@ -131,8 +137,12 @@ def _cells(environment: Environment) -> tuple[np.ndarray, np.ndarray, np.ndarray
     size = CELL * max(1.0, math.sqrt(excess))
     columns = max(1, round(width / size))
     rows = max(1, round(depth / size))
-    x = x0 + (np.arange(columns) + 0.5) * width / columns
-    y = y0 + (np.arange(rows) + 0.5) * depth / rows
+
+    # Their middles.
+    column = np.arange(columns)
+    row = np.arange(rows)
+    x = x0 + (column + 0.5) * width / columns
+    y = y0 + (row + 0.5) * depth / rows
     grid = np.meshgrid(x, y, indexing="ij")
     middle = np.stack(grid, -1).reshape(-1, 2)  # (columns * rows, 2) m
 
@@ -181,18 +191,21 @@ def _connect(graph: _Graph) -> list[int]:
     closed: set[int] = set()  # components, by their first node, that see all that can be reached from them
     while True:
         components = graph.components()
-        views = [np.any([graph.sights[k] for k in component], axis=0) for component in components]
-        largest = int(np.argmax([view.sum() for view in views]))
+        views = np.array([np.any([graph.sights[k] for k in component], axis=0) for component in components])
+        largest = int(np.argmax(views.sum(1)))
         growing = [k for k, component in enumerate(components) if component[0] not in closed]
         if len(components) == 1 or not growing:
             return components[largest]
 
+        # The first component that can grow, towards what others see.
         grown = growing[0]
-        other_view = np.any([view for k, view in enumerate(views) if k != grown], axis=0)
-        candidates = np.flatnonzero(views[grown] & other_view)
+        view = views[grown]
+        other_view = np.any(np.delete(views, grown, 0), axis=0)
+        candidates = np.flatnonzero(view & other_view)
         if len(candidates) == 0:
-            candidates = _border(views[grown], graph.floor.neighbors)
-        candidates = candidates[~np.isin(candidates, graph.nodes)]
+            candidates = _border(view, graph.floor.neighbors)
+        is_node = np.isin(candidates, graph.nodes)
+        candidates = candidates[~is_node]
         if len(candidates) == 0:
             closed.add(components[grown][0])
         else:
@@ -219,10 +232,11 @@ def _needed(graph: _Graph, chosen: list[int], n_ends: int) -> list[int]:
         unseen = int(np.sum(graph.near[k] & (n_views == 1)))
         if k < n_ends or not others or unseen > may_be_unseen:
             continue
-        if len(graph.components(others)) == 1:
-            chosen = others
-            n_views = n_views - graph.near[k]
-            may_be_unseen -= unseen
+        if len(graph.components(others)) > 1:
+            continue
+        chosen = others
+        n_views = n_views - graph.near[k]
+        may_be_unseen -= unseen
     return chosen
 
 
@@ -238,14 +252,16 @@ def _annotation(
     radii = np.clip(radii, PERSON, MAX_RADIUS)
     nodes = {}
     for name, (x, y), radius in zip(names, position.tolist(), radii.tolist(), strict=True):
-        nodes[name] = Node(kind="waypoint", position=(round(x, 3), round(y, 3)), radius=round(radius, 2), spawn=1)
+        place = round(x, 3), round(y, 3)
+        nodes[name] = Node(kind="waypoint", position=place, radius=round(radius, 2), spawn=1)
 
     # The relative neighborhood graph: no third node is nearer to both.
     length = np.where(visible, gap, np.inf)
     edges = []
     for a, b in np.argwhere(np.triu(visible, 1)):
         longer = np.maximum(length[a], length[b])  # of both edges by each third node
-        if not (longer < gap[a, b] - 1e-9).any():
+        is_between = longer < gap[a, b] - 1e-9
+        if not is_between.any():
             edges.append(Edge(between=(names[a], names[b])))
     source = f"proposed for the environment '{environment.name}' from its clearance and sight"
     return Annotation(version=1, source=source, c_min=C_MIN, c_max=C_MAX, nodes=nodes, edges=edges)

@@ -262,9 +262,11 @@ def _places_along(
     begins = ends - legs.lengths.reshape(-1)
     on_piece = along - begins[piece]  # (K,) m
 
+    # Segments and arcs take turns.
     ux, uy = unit(legs.gap[leg, 0], legs.gap[leg, 1])
     angle = legs.arrival_angle[leg] + on_piece / navigation.radius
-    arc_x, arc_y = jax.vmap(_on_arc, (None, 0, 0))(navigation, legs.arc[leg], angle)
+    on_arcs = jax.vmap(_on_arc, (None, 0, 0))
+    arc_x, arc_y = on_arcs(navigation, legs.arc[leg], angle)
     is_arc = piece % 2 == 1
     x = jnp.where(is_arc, arc_x, legs.place[leg, 0] + on_piece * ux)
     y = jnp.where(is_arc, arc_y, legs.place[leg, 1] + on_piece * uy)

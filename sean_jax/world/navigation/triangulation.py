@@ -146,7 +146,8 @@ def _crossings(sides: Segments) -> Iterator[Float[np.ndarray, "X 2"]]:
         low = np.minimum(share, other_share)
         high = np.maximum(share, other_share)
         meets = crosses & (low >= 0.0) & (high <= 1.0)
-        yield start + share[meets, None] * along
+        meeting_share = share[meets, None]
+        yield start + meeting_share * along
 
 
 def _free_pairs(boxes: Boxes, corners: Float[np.ndarray, "K 2"]) -> Int[np.ndarray, "P 2"]:
@@ -215,7 +216,8 @@ def _passes_through(segments: Segments, corner: Float[np.ndarray, "2"]) -> Bool[
     length = np.hypot(*direction.T)
 
     gap = corner - segments.start
-    along = (gap * direction).sum(1) / length
+    product = (gap * direction).sum(1)
+    along = product / length
     across = np.abs(_cross(direction, gap))  # times the length
     is_between = (along > SAME) & (along < length - SAME)
     return (across < SAME * length) & is_between
@@ -246,10 +248,11 @@ def _crosses_any(corners: Float[np.ndarray, "K 2"], a: int, b: int, edges: Int[n
     # They cross if the ends of each lie on different sides of the other.
     start = corners[a]
     end = corners[b]
-    starts, ends = corners[c], corners[d]  # (E, 2)
-    crosses = _left_of(start, end, starts) != _left_of(start, end, ends)
-    crosses &= _left_of(starts, ends, start) != _left_of(starts, ends, end)
-    return bool((apart & crosses).any())
+    starts = corners[c]  # (E, 2)
+    ends = corners[d]
+    splits = _left_of(start, end, starts) != _left_of(start, end, ends)
+    is_split = _left_of(starts, ends, start) != _left_of(starts, ends, end)
+    return bool((apart & splits & is_split).any())
 
 
 def _left_of(start: np.ndarray, end: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -260,8 +263,8 @@ def _left_of(start: np.ndarray, end: np.ndarray, point: np.ndarray) -> np.ndarra
 def _faces(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) -> Int[np.ndarray, "T 3"]:
     """The triangles that edges enclose, counter-clockwise."""
     wedges = _wedges(corners, edges)
-    lowest = wedges.argmin(1)
-    rotation = (lowest[:, None] + np.arange(3)) % 3
+    lowest = wedges.argmin(1)[:, None]
+    rotation = (lowest + np.arange(3)) % 3
     wedges = np.take_along_axis(wedges, rotation, 1)
 
     # A triangle is a wedge of each of its three corners.
