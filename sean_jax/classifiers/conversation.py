@@ -82,7 +82,8 @@ def _merge(clusters: Clusters, index: Int[Array, " N"], price: Float[Array, ""] 
     number = index.shape[0]
     first = (best // number).astype(jnp.int32)
     second = (best % number).astype(jnp.int32)
-    pays = cost.reshape(-1)[best] < price
+    least_cost = cost.reshape(-1)[best]
+    pays = least_cost < price
 
     # The loop has a fixed length: a merger that does not pay is computed too, kept finite by 1, and discarded.
     total = jnp.where(pays, size[first] + size[second], 1.0)
@@ -140,7 +141,8 @@ def match_groups(
     # A person alone is no group, or scenes of loners would raise both scores.
     is_group = size > 1
     is_true_group = true_size > 1
-    match = match & is_true_group[:, None] & is_group[None, :]
+    match = match & is_true_group[:, None]
+    match = match & is_group[None, :]
 
     # Each annotated group in turn takes the first estimated group that matches and is free.
     def take(free: Array, row: Array) -> tuple[Array, Array]:

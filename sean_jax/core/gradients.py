@@ -31,7 +31,11 @@ def truncate(state: State, every: int) -> State:
 
 def damp(state: State, factor: Float[Array, ""] | float) -> State:
     """Multiplies the derivative by a factor from 0 to 1: n steps back it is ``factor ** n``; 0 ends it here."""
-    moving = jax.tree.map(lambda leaf: _scaled(leaf, jnp.asarray(factor, leaf.dtype)), _moving(state))
+
+    def scale(leaf: Array) -> Array:
+        return _scaled(leaf, jnp.asarray(factor, leaf.dtype))
+
+    moving = jax.tree.map(scale, _moving(state))
     return _with_moving(state, moving)
 
 
@@ -130,9 +134,11 @@ def linear_call(function: Callable, transpose: Callable, constant: PyTree, argum
 
     def direction(linear: Callable, tree: PyTree, out: list) -> Direction:
         def flat(constants: list, values: list) -> list:
-            return jax.tree.leaves(linear(constant_tree.unflatten(constants), tree.unflatten(values)))
+            results = linear(constant_tree.unflatten(constants), tree.unflatten(values))
+            return jax.tree.leaves(results)
 
-        return Direction(flat, tuple(ShapedArray(value.shape, value.dtype) for value in out))
+        shapes = tuple(ShapedArray(value.shape, value.dtype) for value in out)
+        return Direction(flat, shapes)
 
     forward = direction(function, argument_tree, results)
     backward = direction(transpose, result_tree, arguments)

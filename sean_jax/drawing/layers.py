@@ -230,15 +230,19 @@ def draw_trails(axes: Axes, frames: Trajectory, steps: int) -> None:
     from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgb
 
-    people = np.asarray(frames.people)[-steps - 1 :]
-    present = np.asarray(frames.present)[-steps - 1 :]
+    first = -steps - 1
+    people = np.asarray(frames.people)[first:]
+    present = np.asarray(frames.present)[first:]
     stride = max(1, len(people) // 240)
     people = people[::-stride][::-1]
     present = present[::-stride][::-1]
     if len(people) < 2:
         return
+
+    # People who are absent at one end of a segment did not walk there.
     segments = np.stack([people[:-1], people[1:]], 2)  # (T - 1, N, 2, 2)
-    walked = (present[:-1] & present[1:]).ravel()  # people who are absent at one end did not walk there
+    walked = present[:-1] & present[1:]
+    walked = walked.ravel()
 
     # Trails fade with age.
     age = np.linspace(0.03, 1.0, len(segments))[:, None]  # from the oldest
@@ -258,8 +262,8 @@ def draw_people(axes: Axes, frames: Trajectory) -> None:
     present = np.asarray(frames.present[-1], bool)
     position = np.asarray(frames.people[-1])[present]
     heading = np.asarray(frames.people_heading[-1])[present]
-    is_member = np.asarray(frames.group[-1])[present] >= 0
-    draw_discs(axes, position, heading, is_member, PERSON_RADIUS, 0.8)
+    group = np.asarray(frames.group[-1])[present]
+    draw_discs(axes, position, heading, group >= 0, PERSON_RADIUS, 0.8)
 
 
 def draw_discs(
@@ -327,8 +331,9 @@ def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius
     _draw_circle(axes, place, radius, **body)
     for robot, other_radius in zip(others, other_radii, strict=True):
         _draw_other_robot(axes, robot, other_radius, body, nose)
-    tip = path[-1] + 2.2 * radius * frames.heading[-1]
-    axes.plot(*np.stack([path[-1], tip], 1), **nose)
+    end = path[-1]
+    tip = end + 2.2 * radius * frames.heading[-1]
+    axes.plot(*np.stack([end, tip], 1), **nose)
 
 
 def _draw_other_robot(axes: Axes, robot: np.ndarray, radius: float, body: dict, nose: dict) -> None:

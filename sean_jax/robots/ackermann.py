@@ -106,7 +106,8 @@ def ground_impulse(
     turn = to_front * wheel_cosine * steer - to_rear * hold
     jx = jx + mass * (touched_vx - vx)
     jy = jy + mass * (touched_vy - vy)
-    return jnp.stack([jx, jy, turn, -model.wheel_radius * drive])
+    wheel = -model.wheel_radius * drive
+    return jnp.stack([jx, jy, turn, wheel])
 
 
 class Slip(NamedTuple):
@@ -153,8 +154,10 @@ def _impulses_against(model: RobotModel, angle: Array, slip: Slip) -> tuple[Arra
     aside_across = cosine * (1.0 / mass - to_rear * to_front / model.inertia)
 
     # The first two are eliminated.
-    pivot = across - ahead_across * ahead_across / ahead - aside_across * aside_across / aside
-    remaining = -slip.front_across + ahead_across * slip.rear_ahead / ahead + aside_across * slip.rear_aside / aside
+    pivot = across - ahead_across * ahead_across / ahead
+    pivot = pivot - aside_across * aside_across / aside
+    remaining = -slip.front_across + ahead_across * slip.rear_ahead / ahead
+    remaining = remaining + aside_across * slip.rear_aside / aside
     steer = remaining / pivot
 
     # They follow from the third.

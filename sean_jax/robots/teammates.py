@@ -53,7 +53,7 @@ def with_contacts(scenario: Scenario, state: State) -> State:
     model = scenario.robot
     others = state.others
     models = scenario.others
-    x, y = (robot.position[None, :] - others.position).T
+    x, y = (robot.position[None, :] - others.position).T  # (R,) m each
     nx, ny = unit(x, y)  # from the other to this robot
     gap = length(x, y) - models.radius - model.radius
     share = models.mass / (models.mass + model.mass)
@@ -63,7 +63,9 @@ def with_contacts(scenario: Scenario, state: State) -> State:
     vx, vy = ground_velocity(robot)
     approach = (vx - other_vx) * nx + (vy - other_vy) * ny
     change = (1.0 - share) * approach
-    velocity = jnp.stack([other_vx + change * nx, other_vy + change * ny], -1)
+    common_vx = other_vx + change * nx
+    common_vy = other_vy + change * ny
+    velocity = jnp.stack([common_vx, common_vy], -1)
 
     # A body of a person's radius with this robot's share of the gap.
     distance = scenario.forces.walking.radius + model.radius + share * gap

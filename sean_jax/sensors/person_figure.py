@@ -95,7 +95,8 @@ def trace_figures(
     look_x, look_y, x, y, foot = (column[index] for column in people)  # (tiles, rays) each
 
     # All limbs are capsules in the person's frame: a ray is turned once, and starts near, which keeps precision.
-    point = along(rays, jnp.where(person >= 0, distance, 0.0))
+    to_point = jnp.where(person >= 0, distance, 0.0)
+    point = along(rays, to_point)
     offset = Vector(point.x - x, point.y - y, point.z + view.height)
     direction = Vector(*(jnp.asarray(component, float) for component in rays.direction))
     start = _turned(offset, look_x, look_y)
@@ -154,10 +155,11 @@ def _limbs(start: Vector, direction: Vector, foot: Array) -> tuple[Array, Vector
 
     A ray meets trunk and head, and either legs or arms: arms if its point ``MIDDLE`` m on is above ``GROIN``.
     """
-    with_arms = (start.z + MIDDLE * direction.z > GROIN).astype(foot.dtype)
+    middle_up = start.z + MIDDLE * direction.z
+    with_arms = (middle_up > GROIN).astype(foot.dtype)
 
     # All capsules are one array: XLA would compute the ones before again for each result of a loop over them.
-    index = np.arange(WITH_LEGS.shape[1])[(..., *(None,) * foot.ndim)]
+    index = np.arange(WITH_LEGS.shape[1]).reshape(-1, *[1] * foot.ndim)
     all_starts, all_directions, all_feet = jax.tree.map(lambda leaf: leaf[None], (start, direction, foot))
     capsules = _capsules(index, with_arms[None])
     distances, _ = _meet(all_starts, all_directions, all_feet, capsules)  # (4, tiles, rays) m
@@ -178,8 +180,9 @@ def _limbs(start: Vector, direction: Vector, foot: Array) -> tuple[Array, Vector
     ny = point.y - capsule.left - share * capsule.aside
     nz = point.z - capsule.bottom - share * capsule.rise
     normal = Vector(nx, ny, nz)
-    inverse_length = jax.lax.rsqrt(jnp.maximum(dot(normal, normal), 1e-12))
-    return distance, normal * inverse_length, capsule.part
+    square = jnp.maximum(dot(normal, normal), 1e-12)
+    unit_normal = normal * jax.lax.rsqrt(square)
+    return distance, unit_normal, capsule.part
 
 
 def _capsules(index: Array | np.ndarray, with_arms: Array) -> Capsule:
@@ -218,7 +221,8 @@ def _meet(start: Vector, direction: Vector, foot: Array, capsule: Capsule) -> tu
     ball_c = qq - upper_end * (2.0 * aq - aa)
     touches_ball, ball = _first_root(dd, ball_b, ball_c)
 
-    is_round = touches & (height > 0.0) & (height < aa)
+    on_side = (height > 0.0) & (height < aa)
+    is_round = touches & on_side
     ball = jnp.where(touches_ball, ball, MISS)
     distance = jnp.where(is_round, side, ball)
     share = jnp.where(is_round, height / aa, upper_end)
@@ -241,14 +245,16 @@ def _clothes(person: Array, part: Array, forward: Array, up: Array, count: int) 
     hand = (part == LIMB) & (up < CUFF)
     skin = (hair & (face | neck)) | hand
     leg = part == LOWER
-    trousers = leg | ((part == BODY) & (up < WAIST))
+    hips = (part == BODY) & (up < WAIST)
+    trousers = leg | hips
     shoe = leg & (up < SOLE)
     index = jnp.arange(count)
     shirt = shirts(count)
 
     def of_people(table: tuple, channel: int) -> Array:
         colors = jnp.asarray([color[channel] for color in table], float)
-        return colors[index % len(table)][person]
+        by_person = colors[index % len(table)]
+        return by_person[person]
 
     def channel(number: int) -> Array:
         below_waist = jnp.where(shoe, SHOE[number], of_people(TROUSERS, number))

@@ -96,9 +96,10 @@ def render(scenario: Scenario, state: State, camera: Camera) -> Picture:
 
     image = by_rows(bundle, distance) * jnp.asarray(cosine, float)
     in_range = (image >= camera.near) & (image <= camera.far)
+    depth = jnp.where(in_range, image, camera.far)
     return Picture(
         rgb=picture,
-        depth=jnp.where(in_range, image, camera.far),
+        depth=depth,
         semantic=by_rows(bundle, semantic),
         instance=by_rows(bundle, instance),
     )
@@ -126,17 +127,22 @@ def _counts(solids: Solids) -> tuple[int, int, int]:
 def _labels(scenario: Scenario, view: View, with_robot: bool) -> tuple[np.ndarray, np.ndarray]:
     """Class and instance (bodies + 2,) by number in the view; the floor and the sky come last."""
     scenery_counts = _counts(scenario.environment.scenery.solids)
-    robot_counts = _counts(scenario.robot.solids) if with_robot else (0, 0, 0)
+    robot_counts = (0, 0, 0)
+    if with_robot:
+        robot_counts = _counts(scenario.robot.solids)
     people = view.counts[3]
     obstacles = sum(scenery_counts)
     semantic = []
     instance = []
     first = people
     for scenery_count, robot_count in zip(scenery_counts, robot_counts, strict=True):
-        semantic += [OBSTACLE] * scenery_count + [ROBOT] * robot_count
-        instance += [*range(first, first + scenery_count)] + [people + obstacles] * robot_count
+        semantic += [OBSTACLE] * scenery_count
+        semantic += [ROBOT] * robot_count
+        instance += range(first, first + scenery_count)
+        instance += [people + obstacles] * robot_count
         first += scenery_count
-    semantic += [PERSON] * people + [FLOOR, SKY]
+    semantic += [PERSON] * people
+    semantic += [FLOOR, SKY]
     instance += [*range(people), -1, -1]
     return np.array(semantic, np.int32), np.array(instance, np.int32)
 
@@ -150,7 +156,8 @@ def _body_colors(scenario: Scenario, with_robot: bool) -> Array:
         colors.append(scenery_colors)
         if with_robot:
             colors.append(robot_colors)
-    return jnp.concatenate([*colors, jnp.zeros((2, 4), float)]).T
+    floor_and_sky = jnp.zeros((2, 4), float)
+    return jnp.concatenate([*colors, floor_and_sky]).T
 
 
 def _colors_by_kind(solids: Solids) -> list[Array]:
@@ -253,7 +260,8 @@ def _visible_surface(
         on_figure = jnp.zeros(behind.shape, bool)
         return None, Surface(to_body, body_normal, on_figure)
 
-    is_person = (number >= first_person) & (number < first_person + people)
+    end = first_person + people
+    is_person = (number >= first_person) & (number < end)
     person = jnp.where(is_person, number - first_person, -1)
     figure = trace_figures(state, view, bundle, person, distance)
     on_figure = figure.distance < MISS
@@ -406,7 +414,9 @@ def _ceiling(scenery: Scenery, x: Array, y: Array, distance: Array) -> Color:
     u = x / side
     v = y / side
     is_seam = (_to_integer(u) < 0.02) | (_to_integer(v) < 0.02)
-    is_lamp = (jnp.mod(u, LAMP[0]) < 2.0) & (jnp.mod(v, LAMP[1]) < 1.0) & ~is_seam
+    in_column = jnp.mod(u, LAMP[0]) < 2.0
+    in_row = jnp.mod(v, LAMP[1]) < 1.0
+    is_lamp = in_column & in_row & ~is_seam
     fade = jnp.exp(-distance / (8.0 * scenery.ceiling + 1e-3))
     seam_light = 1.0 - (1.0 - SEAM) * fade
     light = jnp.where(is_seam, seam_light, 1.0) * (0.82 + 0.18 * fade)

@@ -35,18 +35,24 @@ PERSON_HEIGHT = HEAD + HEAD_RADIUS  # m
 
 def nearest(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
     """The distance [m] along each ray to the first body, ``MISS`` without one."""
-    return by_platform(partial(_nearest_of_all, rays), partial(_in_a_kernel, rays, 1))(view)[0]
+    loops = partial(_nearest_of_all, rays)
+    on_gpu = partial(_in_a_kernel, rays, 1)
+    (distance,) = by_platform(loops, on_gpu)(view)
+    return distance
 
 
 def search(view: View, rays: Rays) -> tuple[Float[Array, "tiles rays"], Int[Array, "tiles rays"]]:
     """The distance [m] along each ray to the first body, ``MISS`` without one; and its number in the view."""
-    return by_platform(partial(_first_of_all, rays), partial(_in_a_kernel, rays, 2))(view)
+    loops = partial(_first_of_all, rays)
+    on_gpu = partial(_in_a_kernel, rays, 2)
+    return by_platform(loops, on_gpu)(view)
 
 
 def search_behind(view: View, rays: Rays) -> tuple[Array, Array, Array, Array]:
     """Distances [m] and numbers of ``search``, then those of the first body that is no person; (tiles, rays) each."""
     loops = partial(_first_of_all, rays, behind=True)
-    return by_platform(loops, partial(_in_a_kernel, rays, 4))(view)
+    on_gpu = partial(_in_a_kernel, rays, 4)
+    return by_platform(loops, on_gpu)(view)
 
 
 def distance(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
@@ -171,7 +177,9 @@ def families(view: View, rays: Rays) -> Iterator[BodyFamily]:
 
 
 def _person_law(rays: Rays) -> shapes.ShapeLaw:
-    return shapes.low_person_distance if rays.low else shapes.person_distance
+    if rays.low:
+        return shapes.low_person_distance
+    return shapes.person_distance
 
 
 def _boxes_in_sight(boxes: Array, rays: Rays, reach: Array) -> Array:
@@ -227,7 +235,8 @@ def _in_sight(reach: Array, rays: Rays, table: Array, extent: Callable, away: Ar
     for normal in (rays.left, rays.right):
         nx = normal[:, :1]
         ny = normal[:, 1:]
-        possible &= nx * x + ny * y + extent(nx, ny) >= 0.0
+        farthest = nx * x + ny * y + extent(nx, ny)  # m, of the body within the sector's side
+        possible &= farthest >= 0.0
     slope_min = rays.slope_min[:, None]
     lowest = slope_min * away[None, :]  # m, of the tile's rays at that distance
     return possible & ((slope_min <= 0.0) | (top[None, :] >= lowest))
@@ -260,7 +269,9 @@ def _nearest(law: DistanceLaw, table: Array, in_sight: Array, beams: Beams, dist
     in any order; the bits of distances, none of which is negative, have the order of the distances.
     """
     real = distance.dtype
-    whole = jnp.int64 if real == jnp.float64 else jnp.int32  # as many bits
+    whole = jnp.int32  # as many bits
+    if real == jnp.float64:
+        whole = jnp.int64
     tasks = _tasks(in_sight)
     padded = _with_spare_row(table)
     width = max(1, len(in_sight) // SHARE)  # tasks of an iteration
@@ -344,8 +355,10 @@ def _max_of_batch_vmap(size: int, batched: list[bool], iterations: Array) -> tup
 
 def _ends(in_sight: Array) -> Array:
     """(tiles, K) number of the first bodies in sight of a tile."""
-    small = jnp.uint8 if in_sight.shape[1] < 256 else jnp.int32  # it is read again and again
-    return jnp.cumsum(in_sight, axis=1, dtype=small)
+    dtype = jnp.int32
+    if in_sight.shape[1] < 256:  # small, for it is read again and again
+        dtype = jnp.uint8
+    return jnp.cumsum(in_sight, axis=1, dtype=dtype)
 
 
 # --- surfaces ---

@@ -191,7 +191,7 @@ def _connect(graph: _Graph) -> list[int]:
     closed: set[int] = set()  # components, by their first node, that see all that can be reached from them
     while True:
         components = graph.components()
-        views = np.array([np.any([graph.sights[k] for k in component], axis=0) for component in components])
+        views = np.array([_view(graph, component) for component in components])  # (components, K)
         largest = int(np.argmax(views.sum(1)))
         growing = [k for k, component in enumerate(components) if component[0] not in closed]
         if len(components) == 1 or not growing:
@@ -211,6 +211,12 @@ def _connect(graph: _Graph) -> list[int]:
         else:
             roomiest = candidates[np.argmax(clearance[candidates])]
             graph.add(int(roomiest))
+
+
+def _view(graph: _Graph, nodes: list[int]) -> np.ndarray:
+    """(K,) bool, the cells that some of these nodes see."""
+    sights = [graph.sights[k] for k in nodes]
+    return np.any(sights, axis=0)
 
 
 def _border(view: np.ndarray, neighbors: np.ndarray) -> np.ndarray:

@@ -94,7 +94,8 @@ def next_point_approx(
     x = jnp.append(x, goal[0])
     y = jnp.append(y, goal[1])
     clear = segments_are_free(navigation.obstacles, position, x, y, CLOSE * radius)
-    chosen = index[jnp.argmax(clear[:-1])]
+    first_clear = jnp.argmax(clear[:-1])
+    chosen = index[first_clear]
 
     tangent = tangent_to_arc(arcs, chosen, spot, radius)
     aim = _past_corner(navigation, chosen, position, tangent)
@@ -126,7 +127,8 @@ def _past_corner(navigation: Navigation, arc: Array, position: Array, tangent: T
     distance = jnp.maximum(length(out[0], out[1]), 0.1 * radius)
     left = jnp.stack([-out[1], out[0]])
     across = navigation.arcs.side[arc] * left
-    direction = (radius / distance - distance / radius) * out + across  # times d / r
+    outward = radius / distance - distance / radius
+    direction = outward * out + across  # times d / r
     direction_length = jnp.maximum(length(direction[0], direction[1]), 1e-6)
 
     gap = tangent.point - position
@@ -241,7 +243,8 @@ def _elect(
         votes = count(cells, arc)
 
         # It needs more votes, and no much longer path.
-        better = (votes.weight_for > weight_for + 1e-3) & (votes.length < limit)
+        has_more_votes = votes.weight_for > weight_for + 1e-3
+        better = has_more_votes & (votes.length < limit)
         better_cells = tuple(cells[better].T)
         elected[better_cells] = arc[better]
         weight_for = np.where(better, votes.weight_for, weight_for)
@@ -271,13 +274,15 @@ def _count_votes(
 
     # Cells beside each other share corners, so many paths (corner, point, arc) occur several times.
     navigation, _ = shared
-    sizes = len(corners.weight), shape[2], navigation.arcs.side.shape[0] + 1
-    path = np.ravel_multi_index((corner, cells[:, 2:], arc[:, None] + 1), sizes)
+    n_arcs = navigation.arcs.side.shape[0]
+    sizes = len(corners.weight), shape[2], n_arcs + 1
+    path = np.ravel_multi_index((corner, cells[:, 2:], arc[:, None] + 1), sizes)  # (C, 4)
     path, index = np.unique(path[counted], return_inverse=True)
     start, point, path_arc = np.unravel_index(path, sizes)
     path_arc = (path_arc - 1).astype(arc.dtype)  # -1: straight to the point
-    rows = corners.place[start], corners.free_radius[start], point.astype(np.int32), path_arc
-    clear, distance = map_in_batches(_path_from, shared, *rows)
+    place = corners.place[start]
+    free_radius = corners.free_radius[start]
+    clear, distance = map_in_batches(_path_from, shared, place, free_radius, point.astype(np.int32), path_arc)
 
     # Sums over the corners of each cell.
     weight = weight[counted]
@@ -305,7 +310,8 @@ def _path_from(
     to_target = length(target[0] - place[0], target[1] - place[1])
     distance = to_target + jnp.where(is_arc, after_target, 0.0)
     is_free = segment_is_free(navigation.obstacles, place, target, free_radius)
-    return (tangent.on_arc | ~is_arc) & is_free, distance
+    on_arc = tangent.on_arc | ~is_arc
+    return on_arc & is_free, distance
 
 
 @jax.jit
@@ -338,7 +344,8 @@ def _first_arcs(shared: tuple[Navigation, PathsToPoints], spot: Array, words: Ar
 
     no_path = ~jnp.isfinite(jnp.min(total, axis=1))
     best = jnp.argmin(total, axis=1).astype(jnp.int32)
-    return jnp.where(clear | no_path, -1, best).astype(jnp.int16)
+    straight = clear | no_path
+    return jnp.where(straight, -1, best).astype(jnp.int16)
 
 
 def _corner_of_cell(shared: tuple, spot: Array) -> tuple[Array, Array, Array]:

@@ -147,7 +147,8 @@ def first_arc(
     radius = navigation.radius
     place, free_radius = push_out_of_obstacles(boxes, position, radius)
     end, end_radius = push_out_of_obstacles(boxes, goal, radius)
-    straight = segment_is_free(boxes, place, end, jnp.minimum(free_radius, end_radius))
+    both_radii = jnp.minimum(free_radius, end_radius)
+    straight = segment_is_free(boxes, place, end, both_radii)
 
     # Length of the path by each arc.
     distance, angle, x, y, on_arc = tangents(navigation.arcs, place, radius, True)
@@ -191,7 +192,8 @@ def last_arcs(navigation: Navigation, goal: Float[Array, "2"]) -> ArcsToGoal:
     # In a loop: XLA on a CPU takes 30 times longer for an argmin over a square of arcs.
     no_paths = jnp.full_like(to_goal, jnp.inf), arcs
     (total, last), _ = jax.lax.scan(relax, no_paths, (arcs, angle, to_goal))
-    total = jnp.where(arcs < navigation.distance.shape[0], total, jnp.inf)
+    exists = arcs < navigation.distance.shape[0]
+    total = jnp.where(exists, total, jnp.inf)
     departure_angle = jnp.where(last == arcs, angle[last], navigation.departure_angle[arcs, last])
     return ArcsToGoal(total, last, departure_angle)
 

@@ -75,7 +75,8 @@ def _obstacles(boxes: Boxes) -> Iterator[Boxes]:
 
 def _to_frame(boxes: Boxes, points: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "2 ..."]:
     """The points [m], which broadcast with the boxes, in the frame of their box."""
-    x, y = np.moveaxis(points - boxes.center, -1, 0)
+    offsets = points - boxes.center
+    x, y = np.moveaxis(offsets, -1, 0)
     return _rotated(x, y, boxes.cosine, -boxes.sine)
 
 
@@ -138,14 +139,16 @@ def _crossings(sides: Segments) -> Iterator[Float[np.ndarray, "X 2"]]:
         gap = sides.start - start
         determinant = _cross(along, direction)
         crosses = np.abs(determinant) > parallel
-        scale = 1.0 / np.where(crosses, determinant, 1.0)
+        divisor = np.where(crosses, determinant, 1.0)
+        scale = 1.0 / divisor
 
         # They meet if the crossing of their lines lies on both.
         share = _cross(gap, direction) * scale
         other_share = _cross(gap, along) * scale
         low = np.minimum(share, other_share)
         high = np.maximum(share, other_share)
-        meets = crosses & (low >= 0.0) & (high <= 1.0)
+        on_both = (low >= 0.0) & (high <= 1.0)
+        meets = crosses & on_both
         meeting_share = share[meets, None]
         yield start + meeting_share * along
 
@@ -197,8 +200,10 @@ def _pairs_past_full_cells(boxes: Boxes, corners: Float[np.ndarray, "K 2"]) -> I
 def _enters_box(segments: Segments, box: Boxes) -> Bool[np.ndarray, "P"]:
     """Whether each segment enters the inside of a box (slab method; Kay and Kajiya 1986)."""
     start = _to_frame(box, segments.start)  # (2, P)
-    direction = _to_frame(box, segments.end) - start
-    direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
+    end = _to_frame(box, segments.end)
+    direction = end - start
+    is_parallel = np.abs(direction) < 1e-12
+    direction = np.where(is_parallel, 1e-12, direction)
 
     half = np.maximum(box.half - 2 * SAME, 0.0)[:, None]  # a segment along a side does not enter
     at_low = (-half - start) / direction
@@ -233,10 +238,12 @@ def _shortest_edges(corners: Float[np.ndarray, "K 2"], pairs: Int[np.ndarray, "P
 
     chosen = np.empty((3 * len(corners), 2), int)  # a plane graph has fewer edges
     count = 0
-    for a, b in pairs[np.argsort(length, kind="stable")]:
-        if not _crosses_any(corners, a, b, chosen[:count]):
-            chosen[count] = a, b
-            count += 1
+    order = np.argsort(length, kind="stable")
+    for a, b in pairs[order]:
+        if _crosses_any(corners, a, b, chosen[:count]):
+            continue
+        chosen[count] = a, b
+        count += 1
     return chosen[:count]
 
 
@@ -278,7 +285,8 @@ def _faces(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) -> 
 
 def _wedges(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) -> Int[np.ndarray, "W 3"]:
     """Each corner with two of its neighbors that follow one another counter-clockwise."""
-    directed = np.concatenate([edges, edges[:, ::-1]])
+    backward = edges[:, ::-1]
+    directed = np.concatenate([edges, backward])
     start, end = _between(corners, directed)
     dx, dy = (end - start).T
     angle = np.arctan2(dy, dx)
