@@ -131,8 +131,10 @@ def match_groups(
 
     # Rounding may lift T n just above a whole number, which ceil would raise by one person: hence 1e-4.
     real = true_size.astype(float)
-    need = jnp.ceil(tolerance * real - 1e-4).astype(jnp.int32)
-    spare = jnp.ceil((1 - tolerance) * real - 1e-4).astype(jnp.int32)
+    need = jnp.ceil(tolerance * real - 1e-4)
+    need = need.astype(jnp.int32)
+    spare = jnp.ceil((1 - tolerance) * real - 1e-4)
+    spare = spare.astype(jnp.int32)
     others = size[None, :] - common
     enough = common >= need[:, None]
     few_others = others <= spare[:, None]

@@ -147,7 +147,9 @@ def linear_call(function: Callable, transpose: Callable, constant: PyTree, argum
 
 
 def _compute(*values: PyTree, forward: Direction, backward: Direction, number: int) -> list:
-    return forward.function(list(values[:number]), list(values[number:]))
+    constants = list(values[:number])
+    arguments = list(values[number:])
+    return forward.function(constants, arguments)
 
 
 def _jvp(values: tuple, tangents: tuple, *, forward: Direction, backward: Direction, number: int) -> tuple:
@@ -176,8 +178,8 @@ def _transpose(cotangents: list, *values: PyTree, forward: Direction, backward: 
 
 
 def _batch(values: tuple, axes: tuple, *, forward: Direction, backward: Direction, number: int) -> tuple:
-    sizes = (value.shape[axis] for value, axis in zip(values, axes, strict=True) if axis is not None)
-    size = next(sizes)
+    sizes = [value.shape[axis] for value, axis in zip(values, axes, strict=True) if axis is not None]
+    size = sizes[0]
     constants = values[:number]
     axes_of_constants = list(axes[:number])
     pairs = zip(values[number:], axes[number:], strict=True)
@@ -187,7 +189,8 @@ def _batch(values: tuple, axes: tuple, *, forward: Direction, backward: Directio
         results = tuple(ShapedArray((size, *result.shape), result.dtype) for result in direction.results)
         return Direction(jax.vmap(direction.function, (axes_of_constants, 0)), results)
 
-    outputs = _linear.bind(*constants, *arguments, forward=batched(forward), backward=batched(backward), number=number)
+    directions = {"forward": batched(forward), "backward": batched(backward), "number": number}
+    outputs = _linear.bind(*constants, *arguments, **directions)
     return outputs, [0] * len(forward.results)
 
 

@@ -346,7 +346,9 @@ class _Film:
             axes = np.array([(x, y), (-y, x)])
             outline = place + layers.PERSON_RADIUS * self.metre * (BODY @ axes)
             corners = [tuple(corner) for corner in outline]
-            face = colors.MEMBER if self.group[t, person] >= 0 else colors.PERSON
+            face = colors.PERSON
+            if self.group[t, person] >= 0:
+                face = colors.MEMBER
             draw.polygon(corners, fill=face, outline=colors.PERSON_EDGE, width=self.line)
 
     def _draw_robot(self, draw: ImageDraw.ImageDraw, place: np.ndarray, nose: np.ndarray, radius: float) -> None:

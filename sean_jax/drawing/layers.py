@@ -75,7 +75,8 @@ def situation_indices(frames: Trajectory) -> np.ndarray:
 def step_colors(frames: Trajectory, situations: Sequence[str]) -> list[str]:
     """The color of each step: that of the first situation that holds."""
     shades = [*colors.situation_colors(situations), colors.NO_SITUATION]
-    return [shades[index] for index in situation_indices(frames)]
+    indices = situation_indices(frames)
+    return [shades[index] for index in indices]
 
 
 def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, Axes]:
@@ -116,7 +117,8 @@ def draw_obstacles(axes: Axes, environment: Environment) -> None:
     from matplotlib.colors import to_rgba
 
     boxes = jax.tree.map(np.asarray, environment.obstacles)
-    boxes = jax.tree.map(lambda leaf: leaf[boxes.height > 0.0], boxes)
+    is_visible = boxes.height > 0.0
+    boxes = jax.tree.map(lambda leaf: leaf[is_visible], boxes)
     outlines = _box_outlines(boxes)
     relative_height = np.clip(boxes.height / DARKEST_HEIGHT, 0, 1)
     opacity = 0.18 + 0.44 * relative_height**0.7
@@ -126,9 +128,8 @@ def draw_obstacles(axes: Axes, environment: Environment) -> None:
 
     # The floor's color below hides what is under translucent boxes.
     axes.add_collection(PolyCollection(outlines, facecolors=colors.FLOOR, edgecolors="none", zorder=2))
-    style: Any = dict(linewidths=0.6, zorder=2)
-    axes.add_collection(PolyCollection(outlines, facecolors=faces, edgecolors="none", **style))
-    axes.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=edges, **style))
+    axes.add_collection(PolyCollection(outlines, facecolors=faces, edgecolors="none", linewidths=0.6, zorder=2))
+    axes.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=edges, linewidths=0.6, zorder=2))
 
 
 def _box_outlines(boxes: Obstacles) -> list[np.ndarray]:
@@ -154,7 +155,9 @@ def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
     position = np.asarray(graph.position)[:count]
     radius = np.asarray(graph.radius)[:count]
     is_group = np.asarray(graph.is_group, bool)[:count]
-    color = colors.EDGE if alone else colors.FAINT_EDGE
+    color = colors.FAINT_EDGE
+    if alone:
+        color = colors.EDGE
     is_waypoint = ~is_group
     _draw_edges(axes, position, np.asarray(graph.flow), color)
     _draw_nodes(axes, position[is_waypoint], radius[is_waypoint], color, "-")
@@ -285,7 +288,8 @@ def draw_discs(
 
     # From shoulder to shoulder, and less deep.
     across = np.full(len(position), 2 * radius)
-    angles = np.degrees(np.arctan2(heading[:, 1], heading[:, 0]))
+    angles = np.arctan2(heading[:, 1], heading[:, 0])
+    angles = np.degrees(angles)
     faces = [colors.MEMBER if is_member else colors.PERSON for is_member in member]
     style = dict(facecolors=faces, edgecolors=colors.PERSON_EDGE, linewidths=linewidth, zorder=7)
     _draw_ellipses(axes, position, DEPTH * across, across, angles, style)
@@ -389,7 +393,8 @@ def draw_scale(axes: Axes, environment: Environment) -> None:
     x0, y0, x1, _ = map(float, np.asarray(environment.floor))
     span = x1 - x0
     max_length = max(0.15 * span, 0.5)
-    bar = max(length for length in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if length <= max_length)
+    lengths = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+    bar = max(length for length in lengths if length <= max_length)
     y = y0 - 0.030 * span
     tick = y + 0.008 * span
     end = x0 + bar
@@ -424,7 +429,9 @@ def draw_heat(axes: Axes, environment: Environment, density: np.ndarray, label: 
     bar = axes.get_figure().colorbar(image, cax=below, orientation="horizontal", extend="max", ticks=MaxNLocator(3))  # pyright: ignore[reportOptionalMemberAccess]
     bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
     below.tick_params(size=0, labelsize=7.5, labelcolor=colors.MUTED, pad=2)
-    axes.text(x1 - 0.40 * span, y0 - 0.027 * span, label, fontsize=7.5, color=colors.MUTED, ha="right", va="center")
+    label_x = x1 - 0.40 * span
+    label_y = y0 - 0.027 * span
+    axes.text(label_x, label_y, label, fontsize=7.5, color=colors.MUTED, ha="right", va="center")
 
 
 def draw_flow(axes: Axes, environment: Environment, graph: BehaviorGraph, flow: np.ndarray) -> None:
@@ -466,7 +473,8 @@ def _band(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
     along = end - start
     length = max(float(np.hypot(*along)), 1e-9)
     along = along / length
-    right = np.array([along[1], -along[0]]) * width
+    x, y = along
+    right = np.array([y, -x]) * width
     tip_length = min(1.5 * width, 0.5 * length)
     tip = end - along * tip_length
     return np.stack([start, start + right, tip + right, end, end])

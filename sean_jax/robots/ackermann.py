@@ -192,7 +192,8 @@ def steering_angle(
     rise = car.wheelbase * turn_rate  # the tangent is rise / speed
     within = jnp.abs(rise) < max_tangent * jnp.abs(speed)
     divisor = jnp.where(within, speed, 1.0)
-    side = jnp.where(speed < 0.0, -1.0, 1.0) * jnp.sign(rise)
+    direction = jnp.where(speed < 0.0, -1.0, 1.0)
+    side = direction * jnp.sign(rise)
     tangent = jnp.where(within, rise / divisor, side * max_tangent)
     stands = (speed == 0.0) & (turn_rate == 0.0)
     return jnp.where(stands, hold, jnp.arctan(tangent))
@@ -202,4 +203,5 @@ def turn_rate_of(
     model: RobotModel, speed: Float[Array, "*shape"], angle: Float[Array, "*shape"]
 ) -> Float[Array, "*shape"]:
     """The turn rate [rad/s] at a speed [m/s] and a steering angle [rad]: the bicycle law."""
-    return speed * jnp.tan(angle) / steering(model).wheelbase
+    car = steering(model)
+    return speed * jnp.tan(angle) / car.wheelbase

@@ -56,7 +56,8 @@ def with_contacts(scenario: Scenario, state: State) -> State:
     x, y = (robot.position[None, :] - others.position).T  # (R,) m each
     nx, ny = unit(x, y)  # from the other to this robot
     gap = length(x, y) - models.radius - model.radius
-    share = models.mass / (models.mass + model.mass)
+    mass = models.mass + model.mass
+    share = models.mass / mass
 
     # The other robot's velocity, changed to the common speed along the normal.
     other_vx, other_vy = ground_velocity(others).T
@@ -104,7 +105,8 @@ def _append(people: Pedestrians, position: Array, velocity: Array, heading: Arra
 
 def _on_floor(solids: Solids, robots: Robot) -> Solids:
     """The solids (R, ...) of robots, from their own frames to the floor, in one list."""
-    by_robot = jax.vmap(_move_solids)(solids, robots.position, robots.heading)
+    move = jax.vmap(_move_solids)
+    by_robot = move(solids, robots.position, robots.heading)
     color = jnp.concatenate([_flat(table) for table in _colors(by_robot)])
     boxes = _flat(by_robot.boxes)
     cylinders = _flat(by_robot.cylinders)
@@ -123,14 +125,14 @@ def _move_solids(solids: Solids, position: Float[Array, "2"], heading: Float[Arr
 
     *box, cosine, sine = move(solids.boxes)
     yaw = rotate(cosine, sine, heading[0], heading[1])
+    boxes = jnp.stack([*box, *yaw], -1)
+
+    # The axis of a cylinder turns with the robot.
     x, y, z, axis_x, axis_y, *cylinder = move(solids.cylinders)
     axis = rotate(axis_x, axis_y, heading[0], heading[1])
-    return Solids(
-        boxes=jnp.stack([*box, *yaw], -1),
-        cylinders=jnp.stack([x, y, z, *axis, *cylinder], -1),
-        spheres=jnp.stack(move(solids.spheres), -1),
-        color=solids.color,
-    )
+    cylinders = jnp.stack([x, y, z, *axis, *cylinder], -1)
+    spheres = jnp.stack(move(solids.spheres), -1)
+    return Solids(boxes, cylinders, spheres, color=solids.color)
 
 
 def _flat(table: Array) -> Array:
@@ -141,7 +143,8 @@ def _flat(table: Array) -> Array:
 
 def _join(first: Solids, second: Solids) -> Solids:
     """The bodies of both."""
-    colors = [jnp.concatenate(pair) for pair in zip(_colors(first), _colors(second), strict=True)]
+    pairs = zip(_colors(first), _colors(second), strict=True)
+    colors = [jnp.concatenate(pair) for pair in pairs]
     return Solids(
         boxes=jnp.concatenate([first.boxes, second.boxes]),
         cylinders=jnp.concatenate([first.cylinders, second.cylinders]),
@@ -160,7 +163,8 @@ def _colors(solids: Solids) -> list[Array]:
 
 def models_of_others(models: RobotModel, number: int) -> RobotModel:
     """The models (M, R, ...) of the other robots of each robot, of the models (M, ...) of a team."""
-    return jax.tree.map(lambda leaf: leaf[others_of(number)], models)
+    others = others_of(number)
+    return jax.tree.map(lambda leaf: leaf[others], models)
 
 
 def others_of(number: int) -> Int[np.ndarray, "M R"]:

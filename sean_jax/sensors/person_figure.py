@@ -98,7 +98,8 @@ def trace_figures(
     to_point = jnp.where(person >= 0, distance, 0.0)
     point = along(rays, to_point)
     offset = Vector(point.x - x, point.y - y, point.z + view.height)
-    direction = Vector(*(jnp.asarray(component, float) for component in rays.direction))
+    components = (jnp.asarray(component, float) for component in rays.direction)
+    direction = Vector(*components)
     start = _turned(offset, look_x, look_y)
     direction = _turned(direction, look_x, look_y)
 
@@ -141,10 +142,11 @@ TRUNK_AND_HEAD = (
     (BODY, TRUNK, FLAT, 0.0, TRUNK_ENDS[0], 0.0, TRUNK_ENDS[1] - TRUNK_ENDS[0], 0.0),
     (HEAD, CRANIUM, 1.0, 0.0, CRANIUM_ENDS[0], 0.0, CRANIUM_ENDS[1] - CRANIUM_ENDS[0], 0.0),
 )
-LEGS = tuple((LOWER, LEG, 1.0, side * APART, HIP, 0.0, ANKLE - HIP, side) for side in (1.0, -1.0))
+SIDES = (1.0, -1.0)  # left and right
+LEGS = tuple((LOWER, LEG, 1.0, side * APART, HIP, 0.0, ANKLE - HIP, side) for side in SIDES)
 ARMS = tuple(
     (LIMB, ARM, 1.0, side * SHOULDERS, ARMPIT, side * (HAND[0] - SHOULDERS), HAND[1] - ARMPIT, -SWING * side)
-    for side in (1.0, -1.0)
+    for side in SIDES
 )
 WITH_LEGS = np.array(TRUNK_AND_HEAD + LEGS).T  # (8, 4), a row for each field of ``Capsule``
 WITH_ARMS = np.array(TRUNK_AND_HEAD + ARMS).T
@@ -208,7 +210,8 @@ def _meet(start: Vector, direction: Vector, foot: Array, capsule: Capsule) -> tu
     aq = dot(axis, q)
     dd = dot(d, d)
     dq = dot(d, q)
-    qq = dot(q, q) - capsule.radius * capsule.radius
+    radius = capsule.radius
+    qq = dot(q, q) - radius * radius
     a = jnp.maximum(aa * dd - ad * ad, 1e-6)
     b = aa * dq - aq * ad
     c = aa * qq - aq * aq
@@ -216,7 +219,8 @@ def _meet(start: Vector, direction: Vector, foot: Array, capsule: Capsule) -> tu
     height = aq + side * ad
 
     # Beyond its ends the capsule is a ball.
-    upper_end = (height > 0.5 * aa).astype(dd.dtype)
+    is_upper = height > 0.5 * aa
+    upper_end = is_upper.astype(dd.dtype)
     ball_b = dq - upper_end * ad
     ball_c = qq - upper_end * (2.0 * aq - aa)
     touches_ball, ball = _first_root(dd, ball_b, ball_c)
@@ -272,7 +276,8 @@ def shirts(count: int) -> tuple[Array, Array, Array]:
     hue = jnp.mod(index * 0.618034 + 0.08, 1.0)
 
     def channel(shift: float) -> Array:
-        distance = jnp.abs(jnp.mod(hue + shift, 1.0) * 6.0 - 3.0)
+        turned = jnp.mod(hue + shift, 1.0)
+        distance = jnp.abs(turned * 6.0 - 3.0)
         saturated = jnp.clip(distance - 1.0, 0.0, 1.0)
         return 0.35 + 0.5 * saturated
 

@@ -7,6 +7,7 @@ is darker beside bodies that stand on it, and bodies are darker near the floor.
 """
 
 import dataclasses
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -169,6 +170,11 @@ def _colors_by_kind(solids: Solids) -> list[Array]:
 # --- paint ---
 
 
+def _channels(channel: Callable[[int], Array]) -> Color:
+    """Red, green and blue, each by its number."""
+    return channel(0), channel(1), channel(2)
+
+
 class Surface(NamedTuple):
     """What is visible along each ray; (tiles, rays) each."""
 
@@ -245,7 +251,7 @@ def colors(
         color = jnp.where(is_ceiling, ceiling[axis], open_air)
         return jnp.clip(color, 0.0, 1.0)
 
-    return channel(0), channel(1), channel(2)
+    return _channels(channel)
 
 
 def _visible_surface(
@@ -390,7 +396,7 @@ def _floor(scenery: Scenery, x: Array, y: Array, distance: Array) -> Color:
         square = scenery.floor[0, axis] + second * (scenery.floor[1, axis] - scenery.floor[0, axis])
         return square + joint * (scenery.floor[2, axis] - square)
 
-    return channel(0), channel(1), channel(2)
+    return _channels(channel)
 
 
 def _to_multiple(x: Array, period: Array) -> Array:
@@ -424,7 +430,7 @@ def _ceiling(scenery: Scenery, x: Array, y: Array, distance: Array) -> Color:
     def channel(axis: int) -> Array:
         return jnp.where(is_lamp, LAMPS[axis], PANEL[axis] * light)
 
-    return channel(0), channel(1), channel(2)
+    return _channels(channel)
 
 
 def _pattern(color: Color, pattern: Array, across: Array, up: Array) -> Color:
@@ -441,7 +447,7 @@ def _pattern(color: Color, pattern: Array, across: Array, up: Array) -> Color:
         painted = jnp.where(is_facade, facade[axis], painted)
         return jnp.where(is_shelf, shelf[axis], painted)
 
-    return channel(0), channel(1), channel(2)
+    return _channels(channel)
 
 
 def _shelf(color: Color, across: Array, up: Array) -> Color:
@@ -467,7 +473,7 @@ def _shelf(color: Color, across: Array, up: Array) -> Color:
         below_upright = jnp.where(is_beam, BEAM_COLOR[axis], inside)
         return jnp.where(is_upright, frame, below_upright)
 
-    return channel(0), channel(1), channel(2)
+    return _channels(channel)
 
 
 def _facade(color: Color, across: Array, up: Array) -> Color:
@@ -482,4 +488,4 @@ def _facade(color: Color, across: Array, up: Array) -> Color:
     def channel(axis: int) -> Array:
         return jnp.where(is_window, GLASS[axis], color[axis] * light)
 
-    return channel(0), channel(1), channel(2)
+    return _channels(channel)

@@ -112,9 +112,10 @@ def _nearest_of_all(rays: Rays, view: View) -> tuple[Array]:
 def _first_of_all(rays: Rays, view: View, behind: bool = False) -> tuple[Array, ...]:
     """``search``, or ``search_behind``, in loops of XLA's, for CPUs."""
     beams = Beams.of(rays)
-    floor = _first_numbers(view)[4]
+    *_, floor = _first_numbers(view)
+    sky = floor + 1
     distance = ground(view.height, beams.direction.z, beams.inverse_rise)
-    number = jnp.where(distance < MISS, floor, floor + 1).astype(jnp.int32)
+    number = jnp.where(distance < MISS, floor, sky).astype(jnp.int32)
     hit = distance, number
     scenery_hit = hit
     for family in families(view, rays):  # people come last, so a hit of scenery is before any of theirs
@@ -134,7 +135,7 @@ def _in_a_kernel(rays: Rays, results: int, view: View) -> tuple[Array, ...]:
         if results == 1:
             return _nearest_of_all(rays, view)
         return _first_of_all(rays, view, results == 4)
-    floor = _first_numbers(view)[4]
+    *_, floor = _first_numbers(view)
     bodies = list(families(view, rays))
     return kernel.first(rays, bodies, view.radius, view.height, floor, results)
 
@@ -166,12 +167,14 @@ def families(view: View, rays: Rays) -> Iterator[BodyFamily]:
 
     if len(view.spheres):
         radius = view.spheres[:, 3]
-        in_sight = _round_in_sight(reach, rays, view.spheres, radius, view.spheres[:, 2] + radius)
+        top = view.spheres[:, 2] + radius
+        in_sight = _round_in_sight(reach, rays, view.spheres, radius, top)
         yield BodyFamily(first_sphere, view.spheres, shapes.sphere_distance, in_sight)
 
     if len(view.people):
         radius = jnp.broadcast_to(view.radius, view.people.shape[:1])
-        in_sight = _round_in_sight(reach, rays, view.people, radius, PERSON_HEIGHT - view.height)
+        top = PERSON_HEIGHT - view.height
+        in_sight = _round_in_sight(reach, rays, view.people, radius, top)
         law = _person_law(rays)
         yield BodyFamily(first_person, view.people, law, in_sight, scenery=False)
 
@@ -185,7 +188,9 @@ def _person_law(rays: Rays) -> shapes.ShapeLaw:
 def _boxes_in_sight(boxes: Array, rays: Rays, reach: Array) -> Array:
     def extent(nx: Array, ny: Array) -> Array:  # (tiles, K) m, of each box in a direction
         u, v = to_frame(nx, ny, boxes[None, :, 6], boxes[None, :, 7])
-        return jnp.abs(u) * boxes[None, :, 3] + jnp.abs(v) * boxes[None, :, 4]
+        half_u = boxes[None, :, 3]
+        half_v = boxes[None, :, 4]
+        return jnp.abs(u) * half_u + jnp.abs(v) * half_v
 
     # From the sensor, at the origin, to the outline on the floor.
     u, v = to_frame(boxes[:, 0], boxes[:, 1], boxes[:, 6], boxes[:, 7])
@@ -296,7 +301,8 @@ def _run_tasks(law: DistanceLaw, table: Array, tasks: Tasks, beams: Beams, task:
     tiles, bodies = tasks.ends.shape
     tile = (tasks.last[None, :] <= task[:, None]).sum(1, dtype=jnp.int32)
     clipped = jnp.minimum(tile, tiles - 1)
-    first_task = (tasks.last - tasks.count)[clipped]  # of the tile
+    first_tasks = tasks.last - tasks.count  # of the tiles
+    first_task = first_tasks[clipped]
     begin = CHUNK * (task - first_task)  # rank of the task's first body in the tile
     tile_ends = tasks.ends[clipped]
     tile_beams = beams.of_tiles(clipped)
@@ -369,23 +375,24 @@ def surface(view: View, rays: Rays, number: Int[Array, "tiles rays"]) -> tuple[F
 
     The distance is ``MISS`` for the sky and where rounding lets a ray miss the body.
     """
-    first = _first_numbers(view)
+    first_box, first_cylinder, first_sphere, first_person, floor = _first_numbers(view)
     beams = Beams.of(rays)
     distance = ground(view.height, beams.direction.z, beams.inverse_rise)
-    distance = jnp.where(number == first[4], distance, MISS)
+    distance = jnp.where(number == floor, distance, MISS)
     horizontal = jnp.zeros_like(beams.direction.x * distance)
     normal = Vector(horizontal, jnp.zeros_like(distance), jnp.ones_like(distance))
     kinds = (
-        (first[0], view.boxes, shapes.box_distance, shapes.box_normal),
-        (first[1], view.cylinders, shapes.cylinder_distance, shapes.cylinder_normal),
-        (first[2], view.spheres, shapes.sphere_distance, shapes.sphere_normal),
-        (first[3], view.people, _person_law(rays), shapes.person_normal),
+        (first_box, view.boxes, shapes.box_distance, shapes.box_normal),
+        (first_cylinder, view.cylinders, shapes.cylinder_distance, shapes.cylinder_normal),
+        (first_sphere, view.spheres, shapes.sphere_distance, shapes.sphere_normal),
+        (first_person, view.people, _person_law(rays), shapes.person_normal),
     )
     for start, table, law, normal_law in kinds:
         count = len(table)
         if not count:
             continue
-        is_kind = (number >= start) & (number < start + count)
+        end = start + count
+        is_kind = (number >= start) & (number < end)
         index = jnp.clip(number - start, 0, count - 1)
         row = tuple(column[index] for column in table.T)
 

@@ -53,7 +53,9 @@ class KernelShape(NamedTuple):
     @property
     def ray_columns(self) -> int:
         """Numbers of a ray: direction, inverse rise and run, and the start if there is one."""
-        return 5 if self.rays.offset is None else 8
+        if self.rays.offset is None:
+            return 5
+        return 8
 
 
 def first(

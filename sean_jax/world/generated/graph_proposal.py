@@ -62,7 +62,7 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
     connected = _connect(graph)
     chosen = _needed(graph, connected, n_ends)
     cells = [graph.nodes[k] for k in chosen]
-    position = floor.cells[cells]
+    position = floor.cells[cells]  # (M, 2) m
     clearance = floor.clearance[cells]
     sees = np.array([graph.sights[k][cells] for k in chosen])  # (M, M)
     visible = sees | sees.T
@@ -160,7 +160,8 @@ def _cells(environment: Environment) -> tuple[np.ndarray, np.ndarray, np.ndarray
     in_y = np.stack([index[:, 1:], index[:, :-1]], -1).reshape(-1, 2)
     neighbors = np.concatenate([in_x, in_y])
     both_free = (neighbors >= 0).all(1)
-    return middle[free], clearance[free], neighbors[both_free]
+    neighbors = neighbors[both_free]
+    return middle[free], clearance[free], neighbors
 
 
 def _clusters(ends: np.ndarray) -> list[np.ndarray]:
@@ -171,7 +172,8 @@ def _clusters(ends: np.ndarray) -> list[np.ndarray]:
     while len(remaining) and len(middles) < MAX_NODES // 2:
         gaps = remaining[:, None] - remaining[None, :]
         near = np.linalg.norm(gaps, axis=-1) < MERGE
-        fullest = near[np.argmax(near.sum(1))]
+        counts = near.sum(1)
+        fullest = near[np.argmax(counts)]
         if fullest.sum() < min_ends:
             break
         middle = remaining[fullest].mean(0)
@@ -200,7 +202,8 @@ def _connect(graph: _Graph) -> list[int]:
         # The first component that can grow, towards what others see.
         grown = growing[0]
         view = views[grown]
-        other_view = np.any(np.delete(views, grown, 0), axis=0)
+        other_views = np.delete(views, grown, 0)
+        other_view = np.any(other_views, axis=0)
         candidates = np.flatnonzero(view & other_view)
         if len(candidates) == 0:
             candidates = _border(view, graph.floor.neighbors)
@@ -235,7 +238,8 @@ def _needed(graph: _Graph, chosen: list[int], n_ends: int) -> list[int]:
     may_be_unseen = UNSEEN * len(clearance) - np.sum(n_views == 0)
     for k in sorted(chosen, key=lambda k: clearance[graph.nodes[k]]):
         others = [other for other in chosen if other != k]
-        unseen = int(np.sum(graph.near[k] & (n_views == 1)))
+        only_here = graph.near[k] & (n_views == 1)
+        unseen = int(np.sum(only_here))
         if k < n_ends or not others or unseen > may_be_unseen:
             continue
         if len(graph.components(others)) > 1:

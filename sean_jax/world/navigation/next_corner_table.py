@@ -64,7 +64,8 @@ def next_corner(
     cell = cell_of(table.first_arc, navigation.origin, CELL, position)
     first_arc = table.first_arc[*cell, index]
     arc, tangent = _next_arc(navigation, table, position, index, first_arc)
-    aim = _past_corner(navigation, jnp.maximum(arc, 0), position, tangent)
+    any_arc = jnp.maximum(arc, 0)
+    aim = _past_corner(navigation, any_arc, position, tangent)
     return jnp.where(arc >= 0, aim, table.point[index])
 
 
@@ -108,7 +109,10 @@ def _visible_around(navigation: Navigation, position: Float[Array, "2"]) -> Bool
     grid = navigation.visible, navigation.origin, navigation.cell
     left, below = cell_of(*grid, position - 0.5 * navigation.cell)
     right, above = cell_of(*grid, position + 0.5 * navigation.cell)
-    words = (visible_words(navigation, i, j) for i in (left, right) for j in (below, above))
+    words = []
+    for i in (left, right):
+        for j in (below, above):
+            words.append(visible_words(navigation, i, j))
     from_any = functools.reduce(jnp.bitwise_or, words)
     return arc_bits(from_any, navigation.arcs.side.shape[0])
 
@@ -195,10 +199,11 @@ def _make(navigation: Navigation, points: Array) -> dict[str, np.ndarray]:
     navigation = in_programs(replace(navigation, visible=None, places=None, mesh_places=None))
     n_padding = -n_points % POINTS
     padded_points = np.pad(np.asarray(points), [(0, n_padding), (0, 0)], mode="edge")
-    paths = _paths_to_points(navigation, jnp.asarray(padded_points, float))
+    padded_points = jnp.asarray(padded_points, float)
+    paths = _paths_to_points(navigation, padded_points)
 
-    best_arc = _best_from_middles(navigation, paths, visible)[..., :n_points]
-    best_arc = best_arc.repeat(scale, 0).repeat(scale, 1)  # (X, Y, M)
+    best_arc = _best_from_middles(navigation, paths, visible)
+    best_arc = best_arc[..., :n_points].repeat(scale, 0).repeat(scale, 1)  # (X, Y, M)
     return {
         "first_arc": _elect(navigation, paths, best_arc, scale),
         "next_arc": np.asarray(paths.next_arc)[:n_points, :n_arcs],
@@ -213,8 +218,9 @@ def _best_from_middles(navigation: Navigation, paths: PathsToPoints, visible: np
     n_padding = navigation.arcs.side.shape[0] // 8 - words.shape[1]
     words = np.pad(words, [(0, 0), (0, n_padding)])
 
-    middles = np.indices(cells).reshape(2, -1).T + 0.5
-    middles = np.asarray(navigation.origin) + middles * float(navigation.cell)
+    index = np.indices(cells).reshape(2, -1).T
+    middles = (index + 0.5) * float(navigation.cell)
+    middles = np.asarray(navigation.origin) + middles  # (X * Y, 2) m
     best_arc = map_in_batches(_first_arcs, (navigation, paths), middles, words)
     return best_arc.reshape(*cells, -1)
 
@@ -307,8 +313,9 @@ def _path_from(
 
     # The segment to the target, and the path from there.
     after_target = paths.distance[index, jnp.maximum(arc, 0)] - navigation.radius * tangent.angle
+    after_target = jnp.where(is_arc, after_target, 0.0)
     to_target = length(target[0] - place[0], target[1] - place[1])
-    distance = to_target + jnp.where(is_arc, after_target, 0.0)
+    distance = to_target + after_target
     is_free = segment_is_free(navigation.obstacles, place, target, free_radius)
     on_arc = tangent.on_arc | ~is_arc
     return on_arc & is_free, distance
@@ -319,7 +326,8 @@ def _paths_to_points(navigation: Navigation, points: Float[Array, "M 2"]) -> Pat
     distance, last, departure_angle = jax.vmap(last_arcs, in_axes=(None, 0))(navigation, points)
     first = jnp.arange(navigation.arcs.side.shape[0], dtype=jnp.int32)[None, :]
     next_arc = navigation.next_arc[first, last].astype(jnp.int32)
-    next_arc = jnp.where(last == first, -1, next_arc).astype(jnp.int16)
+    is_last = last == first
+    next_arc = jnp.where(is_last, -1, next_arc).astype(jnp.int16)
     push_out = jax.vmap(push_out_of_obstacles, in_axes=(None, 0, None))
     end, end_radius = push_out(navigation.obstacles, points, navigation.radius)
     return PathsToPoints(distance, departure_angle, next_arc, end, end_radius)

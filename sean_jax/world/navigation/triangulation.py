@@ -118,9 +118,10 @@ def _corners(boxes: Boxes) -> Float[np.ndarray, "K 2"]:
     sides = Segments(corners.reshape(-1, 2), following.reshape(-1, 2))
 
     # Rounded, the same corner of two boxes occurs once.
-    points = np.concatenate([sides.start, *_crossings(sides)])
+    points = np.concatenate([sides.start, *_crossings(sides)])  # (K, 2) m
     rounded = np.round(points / ROUNDING).astype(np.int64)
-    points = np.unique(rounded, axis=0) * ROUNDING
+    rounded = np.unique(rounded, axis=0)
+    points = rounded * ROUNDING
     is_free = _clearance(boxes, points) >= -2 * ROUNDING
     points = points[is_free]
     if len(points) == 0:
@@ -134,7 +135,8 @@ def _corners(boxes: Boxes) -> Float[np.ndarray, "K 2"]:
 def _crossings(sides: Segments) -> Iterator[Float[np.ndarray, "X 2"]]:
     """Where each side crosses others [m], by Cramer's rule."""
     direction = sides.end - sides.start
-    parallel = 1e-9 * (1.0 + np.abs(direction).max(1))
+    size = np.abs(direction).max(1)
+    parallel = 1e-9 * (1.0 + size)
     for start, along in zip(sides.start, direction, strict=True):
         gap = sides.start - start
         determinant = _cross(along, direction)
@@ -188,12 +190,15 @@ def _pairs_past_full_cells(boxes: Boxes, corners: Float[np.ndarray, "K 2"]) -> I
 
     # Each sample leaves the pairs between which it lies in no full cell.
     pairs = np.stack(np.triu_indices(len(corners), 1), 1)  # (P, 2)
-    for share in np.arange(1, SAMPLES + 1) / (SAMPLES + 1):
+    for sample in range(1, SAMPLES + 1):
+        share = sample / (SAMPLES + 1)
         start, end = _between(corners, pairs)
         samples = (1 - share) * start + share * end
-        cells = np.clip((samples - low) // cell, 0, CELLS - 1)
+        cells = (samples - low) // cell
+        cells = np.clip(cells, 0, CELLS - 1)
         i, j = cells.astype(int).T
-        pairs = pairs[~full[i, j]]
+        is_full = full[i, j]
+        pairs = pairs[~is_full]
     return pairs
 
 
@@ -224,8 +229,9 @@ def _passes_through(segments: Segments, corner: Float[np.ndarray, "2"]) -> Bool[
     product = (gap * direction).sum(1)
     along = product / length
     across = np.abs(_cross(direction, gap))  # times the length
+    is_near = across < SAME * length
     is_between = (along > SAME) & (along < length - SAME)
-    return (across < SAME * length) & is_between
+    return is_near & is_between
 
 
 # --- edges and triangles ---
@@ -276,7 +282,8 @@ def _faces(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) -> 
 
     # A triangle is a wedge of each of its three corners.
     triangles, counts = np.unique(wedges, axis=0, return_counts=True)
-    triangles = triangles[counts == 3]
+    complete = counts == 3
+    triangles = triangles[complete]
 
     # The rest is the outside of a triangle that is apart from all others.
     first, second, third = corners[triangles.T]
@@ -296,5 +303,7 @@ def _wedges(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) ->
     # The last neighbor of a corner is followed by the first.
     following = np.arange(1, len(source) + 1)
     _, first, count = np.unique(source, return_index=True, return_counts=True)
-    following[first + count - 1] = first
-    return np.stack([source, target, target[following]], 1)
+    last = first + count - 1
+    following[last] = first
+    next_target = target[following]
+    return np.stack([source, target, next_target], 1)
