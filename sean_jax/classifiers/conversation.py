@@ -122,8 +122,10 @@ def match_groups(
     index = jnp.arange(number, dtype=jnp.int32)
 
     # Numbers of groups mean nothing across the two partitions: groups are compared as sets of people.
-    in_estimated = (estimated[None, :] == index[:, None]) & present[None, :]  # (groups, people)
-    in_annotated = (annotated[None, :] == index[:, None]) & present[None, :]
+    group = index[:, None]
+    is_present = present[None, :]
+    in_estimated = (estimated[None, :] == group) & is_present  # (groups, people)
+    in_annotated = (annotated[None, :] == group) & is_present
     in_both = in_annotated[:, None, :] & in_estimated[None, :, :]
     common = in_both.sum(-1, dtype=jnp.int32)  # (annotated, estimated)
     size = in_estimated.sum(-1, dtype=jnp.int32)

@@ -52,12 +52,12 @@ def rotate(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array
 
 def ground_velocity(robot: Robot) -> Float[Array, "... 2"]:
     """Velocity [m/s] of a robot over the ground; of a differential drive it is along the heading."""
-    forward = robot.speed[..., None] * robot.heading
+    heading = robot.heading
+    forward = robot.speed[..., None] * heading
     if robot.sideways is None:
         return forward
-    sideways = robot.sideways[..., None]
-    left = jnp.stack([-robot.heading[..., 1], robot.heading[..., 0]], -1)
-    return forward + sideways * left
+    left = jnp.stack([-heading[..., 1], heading[..., 0]], -1)
+    return forward + robot.sideways[..., None] * left
 
 
 def sum_vectors(x: Array, y: Array, axis: int) -> tuple[Array, Array]:

@@ -92,17 +92,18 @@ def _clipped(limit: Array, cotangents: tuple[list[Array], list[Array]]) -> tuple
     """The cotangents of people and of the robot, each body's shortened to the limit."""
     people, robot = cotangents
     squares = [jnp.square(leaf).reshape(leaf.shape[0], -1).sum(1) for leaf in people]  # (N,) each
-    scale = _shorter(jnp.stack(squares).sum(0), limit)
+    scale = _shorter(squares, limit)
     people = [leaf * scale.reshape(-1, *[1] * (leaf.ndim - 1)) for leaf in people]
 
     squares = [jnp.square(leaf).sum() for leaf in robot]
-    scale = _shorter(jnp.stack(squares).sum(0), limit)
+    scale = _shorter(squares, limit)
     robot = [leaf * scale for leaf in robot]
     return people, robot
 
 
-def _shorter(square: Array, limit: Array) -> Array:
-    """The factor that shortens vectors with these squared lengths to the limit; 0 for infinite ones."""
+def _shorter(squares: list[Array], limit: Array) -> Array:
+    """The factor that shortens vectors, whose squared lengths have these parts, to the limit; 0 for infinite ones."""
+    square = jnp.stack(squares).sum(0)
     over = square > limit * limit
     inverse = jax.lax.rsqrt(jnp.where(over, square, 1.0))
     return jnp.where(over, limit * inverse, 1.0)

@@ -326,8 +326,10 @@ def _starts(scenario: Scenario, key: Array) -> _Starts:
         behavior = replace(scenario.behavior, data=only_set)
         people, groups, _ = scenario.behavior.reset(replace(scenario, behavior=behavior), key)
 
-        start = _or_opening(sets.start[row], sets.start_group[row], groups)
-        goal = _or_opening(sets.goal[row], sets.goal_group[row], groups)
+        start_group = sets.start_group[row]
+        goal_group = sets.goal_group[row]
+        start = _or_opening(sets.start[row], start_group, groups)
+        goal = _or_opening(sets.goal[row], goal_group, groups)
         all_paths = jax.vmap(jax.vmap(_path, in_axes=(None, None, 0)), in_axes=(None, 0, None))
         return _Starts(
             start=start,
@@ -335,8 +337,8 @@ def _starts(scenario: Scenario, key: Array) -> _Starts:
             people=people.position,
             people_heading=people.heading,
             path=all_paths(scenario.navigation, start, goal),
-            start_heading=_facing(sets.start_heading[row], sets.start_group[row], groups, start),
-            goal_heading=_facing(sets.goal_heading[row], sets.goal_group[row], groups, goal),
+            start_heading=_facing(sets.start_heading[row], start_group, groups, start),
+            goal_heading=_facing(sets.goal_heading[row], goal_group, groups, goal),
             leg=_legs(sets, row),
         )
 

@@ -303,8 +303,9 @@ class _Film:
         self._draw_people(draw, t)
         for path, noses, radius in zip(self.others, self.other_noses, self.other_radii, strict=True):
             self._draw_robot(draw, path[t], noses[t], radius)
-        nose = self.path[t] + self.heading[t] * 2.2 * self.radius
-        self._draw_robot(draw, self.path[t], nose, self.radius)
+        place = self.path[t]
+        nose = place + self.heading[t] * 2.2 * self.radius
+        self._draw_robot(draw, place, nose, self.radius)
         self.caption.draw(draw, self.background.image.size, t)
         return image.reduce(2)
 

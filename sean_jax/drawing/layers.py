@@ -32,8 +32,9 @@ FOOT = 0.075  # of the floor's width, below it
 
 def one_episode(frames: Trajectory) -> Trajectory:
     """The frames (T, ...) of one episode on the host, cut after the last active one; InputError for a batch."""
-    if np.ndim(frames.active) != 1:
-        raise InputError(f"frames of one episode have one leading axis, these have {np.ndim(frames.active)}.")
+    axes = np.ndim(frames.active)
+    if axes != 1:
+        raise InputError(f"frames of one episode have one leading axis, these have {axes}.")
     frames = jax.tree.map(np.asarray, frames)
     active = np.flatnonzero(frames.active)
     count = int(active[-1]) + 1 if len(active) else 1
@@ -343,7 +344,8 @@ def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius
 def _draw_other_robot(axes: Axes, robot: np.ndarray, radius: float, body: dict, nose: dict) -> None:
     """Draw another robot of a team (T, 6), as of ``other_robots``: path, last pose and goal."""
     line: Any = dict(linewidth=1.4, linestyle="--")
-    axes.plot(*robot[:, :2].T, color=colors.ROBOT, zorder=8, **line)
+    path = robot[:, :2]
+    axes.plot(*path.T, color=colors.ROBOT, zorder=8, **line)
     x, y, heading_x, heading_y, goal_x, goal_y = map(float, robot[-1])
     length = 2.2 * radius
     tip_x = x + length * heading_x
@@ -538,7 +540,8 @@ def _situation_marks(frames: Trajectory, situations: Sequence[str]) -> list[tupl
     marks = []
     for index in sorted(set(situation_indices(frames).tolist())):
         line = Line2D([], [], color=shades[index], linewidth=3)
-        marks.append((line, names[index].replace("_", " ")))
+        label = names[index].replace("_", " ")
+        marks.append((line, label))
     return marks
 
 

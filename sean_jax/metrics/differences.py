@@ -94,7 +94,10 @@ def _mcnemar(gaps: np.ndarray) -> float:
 def _fisher(a: np.ndarray, b: np.ndarray) -> float:
     from scipy import stats
 
-    table = [[int(values.sum()), len(values) - int(values.sum())] for values in (a, b)]
+    table = []
+    for values in (a, b):
+        count = int(values.sum())
+        table.append([count, len(values) - count])
     return float(stats.fisher_exact(table).pvalue)  # pyright: ignore[reportAttributeAccessIssue]
 
 

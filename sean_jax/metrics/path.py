@@ -194,12 +194,13 @@ class Success(NamedTuple):
 
 def _init_success(snapshot: Snapshot) -> Success:
     known = snapshot.robot_top_speed
+    zero = jnp.zeros_like(snapshot.geodesic)
     return Success(
         reached=_at_goal(snapshot),
         path=_init_path(snapshot),
         time=zero_duration(snapshot),
-        path_to_goal=jnp.zeros_like(snapshot.geodesic),
-        time_to_goal=jnp.zeros_like(snapshot.geodesic),
+        path_to_goal=zero,
+        time_to_goal=zero,
         shortest=jnp.maximum(snapshot.geodesic - _goal_radius(snapshot), 0.0),
         top_speed=jnp.full_like(snapshot.geodesic, TOP_SPEED) if known is None else known,
     )

@@ -453,12 +453,15 @@ def _wheels(model: Any) -> Iterator[str]:
     for wheel, geom in zip(_wheel_names(model), geoms, strict=True):
         if geom is None:
             yield f"its {wheel} has no geom, whose size is the wheel's radius"
-        elif model.geom_type[geom] not in map(int, round_kinds):
-            kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
-            yield f"the first geom of its {wheel} is a {kind} and not a cylinder or a sphere"
-    if len(geoms) == 2 and None not in geoms and not np.isclose(*model.geom_size[geoms, 0]):
+            continue
+        kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+        if kind not in round_kinds:
+            name = kind.name.removeprefix("mjGEOM_").lower()
+            yield f"the first geom of its {wheel} is a {name} and not a cylinder or a sphere"
+    if len(geoms) == 2 and None not in geoms:
         left, right = model.geom_size[geoms, 0]
-        yield f"the radii of its wheels are {left:g} m and {right:g} m, not the same"
+        if not np.isclose(left, right):
+            yield f"the radii of its wheels are {left:g} m and {right:g} m, not the same"
 
 
 def _places(model: Any, data: Any, radius: float) -> Iterator[str]:

@@ -229,14 +229,12 @@ def active_command(
     It is the action if that is finite, else the last command, or after ``model.command_timeout`` a stop.
     """
     size = command_size(model)
-    if jnp.shape(action) != (size,):
+    shape = jnp.shape(action)
+    if shape != (size,):
         if size == 2:
-            raise InputError(
-                f"action: its shape is {jnp.shape(action)}; {model.name} takes ({size},), speed and turn rate."
-            )
+            raise InputError(f"action: its shape is {shape}; {model.name} takes ({size},), speed and turn rate.")
         raise InputError(
-            f"action: its shape is {jnp.shape(action)}; {model.name} takes ({size},), speed, speed to the left and "
-            "turn rate."
+            f"action: its shape is {shape}; {model.name} takes ({size},), speed, speed to the left and turn rate."
         )
     is_finite = jnp.isfinite(action).all()
     age = jnp.where(is_finite, 0, drive_state.age + 1)

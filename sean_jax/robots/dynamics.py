@@ -101,8 +101,9 @@ def _tyres(model: RobotModel | RobotBody, cosine: Array, sine: Array, velocity: 
     """
     half_track = 0.5 * model.track
     ahead, aside = rotate(velocity[0], velocity[1], cosine, -sine)
-    slip_left = ahead - half_track * velocity[2] - model.wheel_radius * velocity[3]
-    slip_right = ahead + half_track * velocity[2] - model.wheel_radius * velocity[4]
+    turning = half_track * velocity[2]  # m/s, of the wheels while the robot turns
+    slip_left = ahead - turning - model.wheel_radius * velocity[3]
+    slip_right = ahead + turning - model.wheel_radius * velocity[4]
 
     # The slip that a unit of a wheel's impulse removes: its own, and that of the other wheel.
     linear = 1.0 / model.mass

@@ -453,7 +453,8 @@ class _Base:
         """kg m2 about the vertical: of the links, scaled to the mass; of a disc if they have none."""
         inertia = 0.0
         for link in self.body.links:
-            inertia += link.inertia[2, 2] + link.mass * float(link.center[:2] @ link.center[:2])
+            offset = link.center[:2]
+            inertia += link.inertia[2, 2] + link.mass * float(offset @ offset)
         scale = self.mass / links_mass if links_mass else 0.0
         return inertia * scale or 0.5 * self.mass * self.radius**2
 
@@ -772,16 +773,19 @@ def upright(shape: LinkShape) -> LinkShape:
         return shape
     level = np.argmax(np.hypot(shape.turn[0], shape.turn[1]))  # the axis that is most horizontal
     yaw = np.arctan2(shape.turn[1, level], shape.turn[0, level])
-    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
+    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     half = np.abs(turn.T @ shape.turn) @ shape.size
     return LinkShape("box", np.maximum(half, foreign_links.THIN), shape.place, turn, shape.color)
 
 
 def _view(name: str, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The directions right and up of a camera in a frame of ROS: ahead is x, or z of an optical frame."""
+    x, y, z = axes.T
     if "optical" in name:
-        return (axes[:, 0], -axes[:, 1])
-    return (-axes[:, 1], axes[:, 2])
+        return x, -y
+    return -y, z
 
 
 def _listed(names: list[str]) -> str:

@@ -63,17 +63,22 @@ def ground_impulse(model: RobotModel, touch: Touch, motion: Motion, free: Float[
     """
     position, velocity = motion
     # From the middle of the last step to that of this one the body turns its velocity along.
-    turned = 0.5 * model.time_step * (velocity[2] + free[2])
+    turn_rates = velocity[2] + free[2]
+    turned = 0.5 * model.time_step * turn_rates
     cosine = jnp.cos(turned)
     sine = jnp.sin(turned)
-    vx, vy = rotate(free[0], free[1], cosine, sine)
+    free_vx = free[0]
+    free_vy = free[1]
+    vx, vy = rotate(free_vx, free_vy, cosine, sine)
 
     # Friction limits the change of the velocity; contacts act after it.
     limit = model.friction * GRAVITY * model.time_step
-    dx, dy = clip_length(vx - velocity[0], vy - velocity[1], limit)
-    vx, vy = touch(position, velocity[0] + dx, velocity[1] + dy)
-    impulse_x = model.mass * (vx - free[0])
-    impulse_y = model.mass * (vy - free[1])
+    old_vx = velocity[0]
+    old_vy = velocity[1]
+    dx, dy = clip_length(vx - old_vx, vy - old_vy, limit)
+    vx, vy = touch(position, old_vx + dx, old_vy + dy)
+    impulse_x = model.mass * (vx - free_vx)
+    impulse_y = model.mass * (vy - free_vy)
     no_turn = jnp.zeros_like(vx)
     return jnp.stack([impulse_x, impulse_y, no_turn])
 

@@ -53,7 +53,8 @@ def with_contacts(scenario: Scenario, state: State) -> State:
     model = scenario.robot
     others = state.others
     models = scenario.others
-    x, y = (robot.position[None, :] - others.position).T  # (R,) m each
+    place = robot.position[None, :]
+    x, y = (place - others.position).T  # (R,) m each
     nx, ny = unit(x, y)  # from the other to this robot
     gap = length(x, y) - models.radius - model.radius
     mass = models.mass + model.mass
@@ -62,16 +63,19 @@ def with_contacts(scenario: Scenario, state: State) -> State:
     # The other robot's velocity, changed to the common speed along the normal.
     other_vx, other_vy = ground_velocity(others).T
     vx, vy = ground_velocity(robot)
-    approach = (vx - other_vx) * nx + (vy - other_vy) * ny
+    relative_vx = vx - other_vx
+    relative_vy = vy - other_vy
+    approach = relative_vx * nx + relative_vy * ny
     change = (1.0 - share) * approach
     common_vx = other_vx + change * nx
     common_vy = other_vy + change * ny
     velocity = jnp.stack([common_vx, common_vy], -1)
 
     # A body of a person's radius with this robot's share of the gap.
-    distance = scenario.forces.walking.radius + model.radius + share * gap
+    own_gap = share * gap
+    distance = scenario.forces.walking.radius + model.radius + own_gap
     normal = jnp.stack([nx, ny], -1)
-    start = robot.position[None, :] - distance[:, None] * normal
+    start = place - distance[:, None] * normal
     position = start + scenario.time_step * velocity
     people = _append(state.pedestrians, position, velocity, others.heading)
     return replace(state, pedestrians=people)
@@ -86,6 +90,8 @@ def _append(people: Pedestrians, position: Array, velocity: Array, heading: Arra
 
     zeros = jax.tree.map(zeros_like_people, people)
     alone = jnp.full(count, -1, jnp.int32)
+    present = jnp.ones(count, bool)
+    speed = length(velocity[:, 0], velocity[:, 1])
     bodies = replace(
         zeros,
         position=position,
@@ -94,8 +100,8 @@ def _append(people: Pedestrians, position: Array, velocity: Array, heading: Arra
         desired_velocity=velocity,
         group=alone,
         walking_group=alone,
-        present=jnp.ones(count, bool),
-        preferred_speed=length(velocity[:, 0], velocity[:, 1]),
+        present=present,
+        preferred_speed=speed,
     )
     if bodies.reaction is not None:
         alert = replace(bodies.reaction, alertness=jnp.ones(count, float))

@@ -139,9 +139,10 @@ def _jointed_link(path: Path, element: Element, joint: Element, index: int, pare
     line = joint.find("axis")
     along = np.array([1.0, 0.0, 0.0]) if line is None else _numbers(path, line, "xyz", 3)
     if kind in ("hinge", "slide"):
-        if not np.linalg.norm(along) > 1e-6:
+        length = np.linalg.norm(along)
+        if not length > 1e-6:
             raise _error(path, joint if line is None else line, "is no direction; give an xyz that is not 0 0 0")
-        axis = turn @ (along / np.linalg.norm(along))
+        axis = turn @ (along / length)
     return Link(element.get("name", ""), index, joint.get("name", ""), kind, axis, place, turn)
 
 

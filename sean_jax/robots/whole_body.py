@@ -234,7 +234,8 @@ def _at_home(model: Any) -> Any:
         mujoco.mj_resetDataKeyframe(model, data, keys.index("home") if "home" in keys else 0)
 
     # Turn the base back by its yaw.
-    w, x, y, z = data.qpos[3:7] / np.linalg.norm(data.qpos[3:7])
+    rotation = data.qpos[3:7]
+    w, x, y, z = rotation / np.linalg.norm(rotation)
     half_yaw = 0.5 * math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     turn_back = np.array([math.cos(half_yaw), 0.0, 0.0, -math.sin(half_yaw)])
     ahead = np.zeros(4)

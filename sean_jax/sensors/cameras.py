@@ -123,11 +123,11 @@ def _directions(view: Camera) -> tuple[np.ndarray, np.ndarray | None, np.ndarray
     across, along = np.meshgrid(right, up)
 
     # MuJoCo's cameras look along -z, x is to the right and y up.
-    axes = np.asarray(view.axes).reshape(3, 3)
-    pixels = across[..., None] * axes[:, 0] + along[..., None] * axes[:, 1]
+    x_axis, y_axis, z_axis = np.asarray(view.axes).reshape(3, 3).T
+    pixels = across[..., None] * x_axis + along[..., None] * y_axis
     if view.orthographic:
-        return np.broadcast_to(-axes[:, 2], pixels.shape), pixels, np.ones(pixels.shape[:2])
-    direction = pixels - axes[:, 2]
+        return np.broadcast_to(-z_axis, pixels.shape), pixels, np.ones(pixels.shape[:2])
+    direction = pixels - z_axis
     length = np.linalg.norm(direction, axis=-1)
     return direction / length[..., None], None, 1.0 / length
 

@@ -95,7 +95,8 @@ def trace_figures(
     look_x, look_y, x, y, foot = (column[index] for column in people)  # (tiles, rays) each
 
     # All limbs are capsules in the person's frame: a ray is turned once, and starts near, which keeps precision.
-    to_point = jnp.where(person >= 0, distance, 0.0)
+    is_person = person >= 0
+    to_point = jnp.where(is_person, distance, 0.0)
     point = along(rays, to_point)
     offset = Vector(point.x - x, point.y - y, point.z + view.height)
     components = (jnp.asarray(component, float) for component in rays.direction)
@@ -108,7 +109,7 @@ def trace_figures(
 
     # Clothes depend on the place on the body, light on the normal in the robot's axes.
     to_limb, normal, part = _limbs(start, direction, foot)
-    meets = (to_limb < MISS) & (person >= 0)
+    meets = (to_limb < MISS) & is_person
     # A ray without a limb stays at its start, so that MISS enters no color and no derivative.
     to_limb = jnp.where(meets, to_limb, 0.0)
     forward = start.x + to_limb * direction.x
@@ -190,7 +191,8 @@ def _limbs(start: Vector, direction: Vector, foot: Array) -> tuple[Array, Vector
 def _capsules(index: Array | np.ndarray, with_arms: Array) -> Capsule:
     """The capsules of these indices, with arms (1) or with legs (0)."""
     fields = []
-    for legs, difference in zip(WITH_LEGS, WITH_ARMS - WITH_LEGS, strict=True):
+    differences = WITH_ARMS - WITH_LEGS
+    for legs, difference in zip(WITH_LEGS, differences, strict=True):
         legs_field = jnp.asarray(legs, float)[index]
         difference_field = jnp.asarray(difference, float)[index]
         fields.append(legs_field + with_arms * difference_field)
@@ -222,7 +224,8 @@ def _meet(start: Vector, direction: Vector, foot: Array, capsule: Capsule) -> tu
     is_upper = height > 0.5 * aa
     upper_end = is_upper.astype(dd.dtype)
     ball_b = dq - upper_end * ad
-    ball_c = qq - upper_end * (2.0 * aq - aa)
+    beyond_end = 2.0 * aq - aa
+    ball_c = qq - upper_end * beyond_end
     touches_ball, ball = _first_root(dd, ball_b, ball_c)
 
     on_side = (height > 0.0) & (height < aa)
@@ -237,8 +240,9 @@ def _first_root(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
     """Whether a t^2 + 2 b t + c has two roots, and the lower one."""
     discriminant = b * b - a * c
     exists = discriminant > 0.0
-    root = jnp.sqrt(jnp.where(exists, discriminant, 1.0))
-    return exists, (-b - root) / a
+    discriminant = jnp.where(exists, discriminant, 1.0)
+    lower = (-b - jnp.sqrt(discriminant)) / a
+    return exists, lower
 
 
 def _clothes(person: Array, part: Array, forward: Array, up: Array, count: int) -> tuple[Array, Array, Array]:

@@ -393,7 +393,8 @@ def _floor(scenery: Scenery, x: Array, y: Array, distance: Array) -> Color:
     joint = jnp.where(is_joint, 1.0 / fade, 0.0)
 
     def channel(axis: int) -> Array:
-        square = scenery.floor[0, axis] + second * (scenery.floor[1, axis] - scenery.floor[0, axis])
+        first_color = scenery.floor[0, axis]
+        square = first_color + second * (scenery.floor[1, axis] - first_color)
         return square + joint * (scenery.floor[2, axis] - square)
 
     return _channels(channel)

@@ -188,7 +188,8 @@ def write(
 def _geom(name: str, box: Sequence[float], color: Sequence[float] | None) -> str:
     """A line of MJCF: a box as in ``write``."""
     x, y, hx, hy, yaw, height = box
-    pose = f'pos="{x:.9g} {y:.9g} {height / 2:g}" size="{hx:.9g} {hy:.9g} {height / 2:g}"'
+    half_height = height / 2
+    pose = f'pos="{x:.9g} {y:.9g} {half_height:g}" size="{hx:.9g} {hy:.9g} {half_height:g}"'
     euler = f' euler="0 0 {np.rad2deg(yaw):.9g}"' if yaw else ""
     rgba = "" if color is None else f' rgba="{" ".join(f"{channel:g}" for channel in color)} 1"'
     return f'    <geom name="{name}" type="box" {pose}{euler}{rgba}/>'
@@ -265,8 +266,9 @@ def _edges(boxes: np.ndarray, floor: tuple[float, ...]) -> np.ndarray:
 
 def _is_covered(start: Float[np.ndarray, "2"], way: Float[np.ndarray, "2"], boxes: Float[np.ndarray, "W 6"]) -> bool:
     """Whether boxes side by side cover the segment from a start along a way [m] (slab method, as for rays)."""
-    cosine = np.cos(boxes[:, 4])
-    sine = np.sin(boxes[:, 4])
+    yaw = boxes[:, 4]
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
     half = boxes[:, 2:4] + MAX_SEAM
     dx, dy = (start - boxes[:, :2]).T
 
@@ -496,18 +498,21 @@ def _floor_look(model: Any) -> FloorLook:
 
     # How far the texture reaches before it is repeated.
     period = 2 * SQUARE
-    half_side = model.geom_size[plane, 0] if plane >= 0 else 0.0
-    if material >= 0 and model.mat_texuniform[material]:
-        period = 1 / model.mat_texrepeat[material, 0]
-    elif material >= 0 and half_side > 0:
-        period = 2 * half_side / model.mat_texrepeat[material, 0]
+    if material >= 0:
+        repeats = model.mat_texrepeat[material, 0]
+        half_side = model.geom_size[plane, 0]
+        if model.mat_texuniform[material]:
+            period = 1 / repeats
+        elif half_side > 0:
+            period = 2 * half_side / repeats
 
     # Two squares to a period, and joints where the texture has a mark along its edges.
     square = period / 2
+    darkest, lightest = colors
     joint, width = _edge(model)
     if joint is None:
-        return np.array([colors[0], colors[-1], colors[-1]]), square, 0.0
-    return np.array([colors[0], colors[-1], joint]), square, 2 * period / width
+        return np.array([darkest, lightest, lightest]), square, 0.0
+    return np.array([darkest, lightest, joint]), square, 2 * period / width
 
 
 def _edge(model: Any) -> tuple[np.ndarray | None, int]:

@@ -368,7 +368,8 @@ def of_environment(environment: Environment, resolution: float = 0.05, height: f
     empty = np.zeros((rows, columns), bool)
     raster = Raster(empty, empty, resolution, (x0, y0))
     boxes = environment.obstacles
-    tall = (np.asarray(boxes.height) > 0.0) & (np.asarray(boxes.height) >= height - 1e-6)
+    heights = np.asarray(boxes.height)
+    tall = (heights > 0.0) & (heights >= height - 1e-6)
     occupied = rasterize(jax.tree.map(lambda field: np.asarray(field)[tall], boxes), raster)
     return dataclasses.replace(raster, occupied=occupied)
 

@@ -236,14 +236,15 @@ def _in_sight(reach: Array, rays: Rays, table: Array, extent: Callable, away: Ar
     """
     x = table[None, :, 0]
     y = table[None, :, 1]
-    possible = reach[:, None] >= away[None, :]
+    away = away[None, :]
+    possible = reach[:, None] >= away
     for normal in (rays.left, rays.right):
         nx = normal[:, :1]
         ny = normal[:, 1:]
         farthest = nx * x + ny * y + extent(nx, ny)  # m, of the body within the sector's side
         possible &= farthest >= 0.0
     slope_min = rays.slope_min[:, None]
-    lowest = slope_min * away[None, :]  # m, of the tile's rays at that distance
+    lowest = slope_min * away  # m, of the tile's rays at that distance
     return possible & ((slope_min <= 0.0) | (top[None, :] >= lowest))
 
 

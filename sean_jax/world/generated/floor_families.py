@@ -258,8 +258,9 @@ def office(floor: Floor, aisle: float, desks: float, furniture: float) -> None:
 def aisles(floor: Floor, aisle: float, cross: float, shelf: float) -> None:
     """Shelves in rows, of ``shelf`` [m] each, with aisles between the rows and cross aisles between the shelves."""
     half = 0.45
-    columns = max(1, int((floor.width - cross) / (shelf + cross)))
-    length = (floor.width - cross) / columns - cross
+    width = floor.width - cross
+    columns = max(1, int(width / (shelf + cross)))
+    length = width / columns - cross
     rows = max(1, int((floor.depth - aisle) / (2 * half + aisle)))
     apart = (floor.depth - rows * 2 * half) / (rows + 1)
     draw = floor.generator

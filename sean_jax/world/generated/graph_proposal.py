@@ -238,14 +238,15 @@ def _needed(graph: _Graph, chosen: list[int], n_ends: int) -> list[int]:
     may_be_unseen = UNSEEN * len(clearance) - np.sum(n_views == 0)
     for k in sorted(chosen, key=lambda k: clearance[graph.nodes[k]]):
         others = [other for other in chosen if other != k]
-        only_here = graph.near[k] & (n_views == 1)
+        near = graph.near[k]
+        only_here = near & (n_views == 1)
         unseen = int(np.sum(only_here))
         if k < n_ends or not others or unseen > may_be_unseen:
             continue
         if len(graph.components(others)) > 1:
             continue
         chosen = others
-        n_views = n_views - graph.near[k]
+        n_views = n_views - near
         may_be_unseen -= unseen
     return chosen
 

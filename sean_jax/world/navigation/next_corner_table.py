@@ -61,8 +61,8 @@ def next_corner(
     navigation: Navigation, table: NextCornerTable, position: Float[Array, "2"], index: Int[Array, ""]
 ) -> Float[Array, "2"]:
     """A place [m] ahead on the way from a position [m] to a point of the table: the point, or on an arc's tangent."""
-    cell = cell_of(table.first_arc, navigation.origin, CELL, position)
-    first_arc = table.first_arc[*cell, index]
+    i, j = cell_of(table.first_arc, navigation.origin, CELL, position)
+    first_arc = table.first_arc[i, j, index]
     arc, tangent = _next_arc(navigation, table, position, index, first_arc)
     any_arc = jnp.maximum(arc, 0)
     aim = _past_corner(navigation, any_arc, position, tangent)
@@ -83,7 +83,8 @@ def next_point_approx(
 
     # Length of the path by each arc, and the few shortest.
     distance, angle, _, _, on_arc = tangents(arcs, spot, radius, True)
-    reachable = visible & on_arc & (angle <= paths_to_goal.departure_angle + ANGLE)
+    before_departure = angle <= paths_to_goal.departure_angle + ANGLE
+    reachable = visible & on_arc & before_departure
     by_arc = distance - radius * angle + paths_to_goal.distance  # (V,) m
     total = jnp.where(reachable, by_arc, jnp.inf)
     shortest, index = jax.lax.top_k(-total, min(CANDIDATES, total.shape[0]))
@@ -148,8 +149,10 @@ def _next_arc(
     radius = navigation.radius
     current = jnp.maximum(arc.astype(jnp.int32), 0)
     angle = tangent_to_arc(arcs, current, position, radius).angle
-    past = (arc >= 0) & (angle > table.departure_angle[index, current])
-    arc = jnp.where(past, table.next_arc[index, current], arc).astype(jnp.int32)
+    departure_angle = table.departure_angle[index, current]
+    next_arc = table.next_arc[index, current]
+    past = (arc >= 0) & (angle > departure_angle)
+    arc = jnp.where(past, next_arc, arc).astype(jnp.int32)
     tangent = tangent_to_arc(arcs, jnp.maximum(arc, 0), position, radius)
     return arc, tangent
 
@@ -244,7 +247,8 @@ def _elect(
     last_cell = np.array(best_arc.shape[:2]) - 1
     for step in NEIGHBORS:
         neighbor = cells[:, :2] + scale * np.array(step)
-        i, j = np.clip(neighbor, 0, last_cell).T
+        neighbor = np.clip(neighbor, 0, last_cell)
+        i, j = neighbor.T
         arc = best_arc[i, j, cells[:, 2]]
         votes = count(cells, arc)
 
@@ -292,7 +296,8 @@ def _count_votes(
 
     # Sums over the corners of each cell.
     weight = weight[counted]
-    sum_by_cell = functools.partial(np.bincount, np.nonzero(counted)[0], minlength=len(cells))
+    cell, _ = np.nonzero(counted)
+    sum_by_cell = functools.partial(np.bincount, cell, minlength=len(cells))
     weight_for = sum_by_cell(weight * clear[index])
     weight_against = sum_by_cell(weight * ~clear[index])
     total_weight = np.maximum(weight_for + weight_against, 1e-3)
@@ -346,7 +351,8 @@ def _first_arcs(shared: tuple[Navigation, PathsToPoints], spot: Array, words: Ar
     # Length of the path to each point by each arc.
     distance, angle, *_ = tangents(arcs, place, radius, True)
     visible = arc_bits(words, arcs.side.shape[0])
-    reachable = visible[None, :] & (angle[None, :] <= paths.departure_angle + ANGLE)  # (M, V)
+    before_departure = angle[None, :] <= paths.departure_angle + ANGLE
+    reachable = visible[None, :] & before_departure  # (M, V)
     to_middle = distance - radius * angle  # (V,) m
     total = jnp.where(reachable, to_middle[None, :] + paths.distance, jnp.inf)
 

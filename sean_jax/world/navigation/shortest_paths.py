@@ -256,12 +256,13 @@ def _places_along(
     legs = _legs(navigation, position, goal, paths_to_goal, last)
 
     # The piece of the path, a segment or an arc, on which each place lies.
-    ends = jnp.cumsum(legs.lengths.reshape(-1))
+    lengths = legs.lengths.reshape(-1)
+    ends = jnp.cumsum(lengths)
     piece = jnp.sum(along[:, None] > ends[None, :], axis=1, dtype=jnp.int32)
     beyond = piece >= ends.shape[0]
     piece = jnp.minimum(piece, ends.shape[0] - 1)
     leg = piece // 2
-    begins = ends - legs.lengths.reshape(-1)
+    begins = ends - lengths
     on_piece = along - begins[piece]  # (K,) m
 
     # Segments and arcs take turns.

@@ -269,12 +269,14 @@ def _relax(chains: Chains, target: int, links: CommonTangents, radius: float) ->
     shortest = np.take_along_axis(total, link[:, None], 1)[:, 0]
     start = np.flatnonzero(shortest < chains.distance[:, target] - 1e-9)
     link = link[start]
+    source = links.source[link]
     leave = links.departure_angle[link]
     enter = links.arrival_angle[link]
-    to_source = start, links.source[link]
+    to_source = start, source
     to_target = start, target
 
-    is_first = links.source[link] == start
+    # The chain is the link alone, or goes on from a chain to its source.
+    is_first = source == start
     chains.distance[to_target] = shortest[start]
     chains.arrival_angle[to_target] = enter
     chains.rotation[to_target] = chains.rotation[to_source] + leave - enter
@@ -391,7 +393,8 @@ def common_tangents(arcs: CornerArcs, radius: float) -> CommonTangents:
     corner, middle, side, first, last = (np.asarray(getattr(arcs, name)) for name in FIELDS)
     gap = corner[None] - corner[:, None]  # (V, V, 2)
     distance = np.hypot(gap[..., 0], gap[..., 1])  # (V, V) m
-    direction = gap / np.maximum(distance, 1e-6)[..., None]
+    divisor = np.maximum(distance, 1e-6)
+    direction = gap / divisor[..., None]
 
     # Tangents that pass the corners on different sides cross the line between them, if the circles are apart.
     from_side = side[:, None]
@@ -399,13 +402,13 @@ def common_tangents(arcs: CornerArcs, radius: float) -> CommonTangents:
     exists = (distance > 1e-6) & (~crossing | (distance >= 2 * radius - SLACK))
 
     # A crossing tangent is tilted against the line of centers by asin(2 r / d), an outer one is parallel to it.
-    sine = np.where(crossing, 2 * radius, 0.0) / np.maximum(distance, 1e-6)
+    sine = np.where(crossing, 2 * radius, 0.0) / divisor
     tilt = from_side * np.arcsin(np.minimum(sine, 1.0))
     along = _rotated(direction, tilt)
     right = np.stack([along[..., 1], -along[..., 0]], -1)  # (V, V, 2)
 
     # A path turns on the free part of an arc alone, so tangents must touch it there.
-    departure = _touch_angle(middle[:, None], side[:, None], right)  # (V, V) rad
+    departure = _touch_angle(middle[:, None], from_side, right)  # (V, V) rad
     arrival = _touch_angle(middle[None], side[None], right)
     lowest = first - ANGLE
     highest = last + ANGLE

@@ -64,7 +64,9 @@ def _grow(environment: Environment, radius: float) -> Boxes:
     room_half = (upper - lower) / 2 - radius
     half = np.concatenate([half, [room_half]])
     yaw = np.append(np.asarray(obstacles.yaw, float), 0.0)
-    return Boxes(center, half, np.cos(yaw), np.sin(yaw))
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
+    return Boxes(center, half, cosine, sine)
 
 
 def _obstacles(boxes: Boxes) -> Iterator[Boxes]:
