@@ -34,7 +34,9 @@ def unit(x: Array, y: Array) -> tuple[Array, Array]:
     zero, square = _square(x, y)
     inverse = 1.0 / jnp.sqrt(square)
     scale = jnp.where(zero, 0.0, inverse)
-    return x * scale, y * scale
+    unit_x = x * scale
+    unit_y = y * scale
+    return unit_x, unit_y
 
 
 def _square(x: Array, y: Array) -> tuple[Array, Array]:
@@ -47,7 +49,9 @@ def _square(x: Array, y: Array) -> tuple[Array, Array]:
 
 def rotate(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:
     """(x, y) turned counter-clockwise by an angle of that cosine and sine."""
-    return cosine * x - sine * y, sine * x + cosine * y
+    turned_x = cosine * x - sine * y
+    turned_y = sine * x + cosine * y
+    return turned_x, turned_y
 
 
 def ground_velocity(robot: Robot) -> Float[Array, "... 2"]:
@@ -87,7 +91,8 @@ def unit_vectors(vectors: Float[Array, "*batch 2"], default: Float[Array, "*defa
     y = vectors[..., 1]
     scaled = unit(x, y)
     scaled = jnp.stack(scaled, -1)
-    zero = x * x + y * y < TINY
+    square = x * x + y * y
+    zero = square < TINY
     return jnp.where(zero[..., None], default, scaled)
 
 
@@ -101,7 +106,8 @@ def angle_between(heading: Float[Array, "*batch 2"], target: Float[Array, "*othe
     dot = heading_x * target_x + heading_y * target_y
 
     # The angle of a zero vector has a gradient, too.
-    zero = cross * cross + dot * dot < TINY
+    square = cross * cross + dot * dot
+    zero = square < TINY
     cross = jnp.where(zero, 0.0, cross)
     dot = jnp.where(zero, 1.0, dot)
     return jnp.arctan2(cross, dot)
@@ -127,7 +133,9 @@ def from_rectangle(
 ) -> tuple[Array, Array, Array]:
     """``from_box`` of a box in components: its centre cx, cy, half extent hx, hy [m], cosine and sine of its yaw."""
     # The box's own axes u and v, in which it is |u| <= hx, |v| <= hy.
-    u, v = rotate(x - cx, y - cy, cosine, -sine)
+    dx = x - cx
+    dy = y - cy
+    u, v = rotate(dx, dy, cosine, -sine)
     side_u = jnp.where(u < 0, -1.0, 1.0)
     side_v = jnp.where(v < 0, -1.0, 1.0)
     beyond_u = jnp.abs(u) - hx
@@ -148,8 +156,9 @@ def from_rectangle(
     normal_v = jnp.where(outside, out_v * inverse, inside_v) * side_v
     normal_x, normal_y = rotate(normal_u, normal_v, cosine, sine)
 
+    outside_distance = square * inverse
     depth = jnp.maximum(beyond_u, beyond_v)
-    distance = jnp.where(outside, square * inverse, depth)
+    distance = jnp.where(outside, outside_distance, depth)
     return distance, normal_x, normal_y
 
 
@@ -206,7 +215,8 @@ def _distances_to_boxes(boxes: Obstacles, points: np.ndarray) -> np.ndarray:
     out_u = np.maximum(beyond_u, 0.0)
     out_v = np.maximum(beyond_v, 0.0)
     outside = np.hypot(out_u, out_v)
-    inside = np.minimum(np.maximum(beyond_u, beyond_v), 0.0)
+    depth = np.maximum(beyond_u, beyond_v)
+    inside = np.minimum(depth, 0.0)
     return outside + inside
 
 
@@ -247,7 +257,8 @@ def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radi
     to_center = jnp.abs(qu * dv - qv * du)  # times the length, as are the others
     beyond = to_center - hu * jnp.abs(dv) - hv * jnp.abs(du)
     limit = radius * jnp.sqrt(square)
-    beside = (square > 0.0) & (beyond >= limit)
+    moves = square > 0.0
+    beside = moves & (beyond >= limit)
 
     # From the box to each end.
     beyond_p = _separated(pu, pv, qu, qv, hu, hv, radius)
@@ -263,9 +274,13 @@ def _separated(pu, pv, qu, qv, hu, hv, radius) -> Array:
     dv = pv - nearest_v
     square = du * du + dv * dv
     limit = radius * jnp.sqrt(square)
-    p_is_apart = (square > 0.0) & (square >= limit)
-    along = (qu - nearest_u) * du + (qv - nearest_v) * dv  # times the distance of p
-    return p_is_apart & (along >= limit)
+    is_outside = square > 0.0
+    p_is_apart = is_outside & (square >= limit)
+    q_du = qu - nearest_u
+    q_dv = qv - nearest_v
+    along = q_du * du + q_dv * dv  # times the distance of p
+    q_is_apart = along >= limit
+    return p_is_apart & q_is_apart
 
 
 # ------------------------------------------------------------------ obstacles by cell
@@ -290,7 +305,8 @@ def build_obstacle_grid(obstacles: Obstacles, floor: Float[Array, "4"], cell: fl
     near = _obstacles_near_cells(obstacles, lower, cell, shape)
     counts = near.sum(-1)
     rows_max = max(1, int(counts.max(initial=0)))
-    if shape[0] * shape[1] * rows_max > MAX_ROWS:
+    n_rows = shape[0] * shape[1] * rows_max
+    if n_rows > MAX_ROWS:
         raise InputError(f"up to {rows_max} obstacles are within {REACH:g} m of one place; use fewer and larger boxes.")
 
     # Cells with fewer obstacles than others have boxes far away.
@@ -310,13 +326,15 @@ def build_obstacle_grid(obstacles: Obstacles, floor: Float[Array, "4"], cell: fl
 
 def _obstacles_near_cells(obstacles: Obstacles, lower: np.ndarray, cell: float, shape: np.ndarray) -> np.ndarray:
     """(X, Y, W) bool, whether an obstacle may be within ``REACH`` of a point of a cell."""
-    x = lower[0] + (np.arange(shape[0]) + 0.5) * cell  # of the middles of the cells
-    y = lower[1] + (np.arange(shape[1]) + 0.5) * cell
+    columns, rows = shape
+    x = lower[0] + (np.arange(columns) + 0.5) * cell  # of the middles of the cells
+    y = lower[1] + (np.arange(rows) + 0.5) * cell
     count = len(np.asarray(obstacles.yaw))
     near = np.zeros((*shape, count), bool)
     reach = REACH + cell / np.sqrt(2)
-    for i in range(shape[0]):  # by column: large floors would need too much memory at once
-        column = np.stack([np.full_like(y, x[i]), y], -1)  # (Y, 2)
+    for i in range(columns):  # by column: large floors would need too much memory at once
+        column_x = np.full_like(y, x[i])
+        column = np.stack([column_x, y], -1)  # (Y, 2) m
         distances = _distances_to_boxes(obstacles, column)  # (Y, W) m
         near[i] = distances <= reach
     return near
@@ -327,11 +345,16 @@ def obstacle_cells(
 ) -> tuple[Int[Array, "*places"], Int[Array, "*places"]]:
     """The grid's cell of each place x, y [m], or the nearest cell for places off the grid."""
     columns, rows = grid.rows.shape[:2]
-    i = jnp.floor((x - grid.origin[0]) / grid.cell)
-    i = jnp.clip(i.astype(jnp.int32), 0, columns - 1)
-    j = jnp.floor((y - grid.origin[1]) / grid.cell)
-    j = jnp.clip(j.astype(jnp.int32), 0, rows - 1)
+    i = _cell_index(x - grid.origin[0], grid.cell, columns)
+    j = _cell_index(y - grid.origin[1], grid.cell, rows)
     return i, j
+
+
+def _cell_index(offset: Array, cell: Array, count: int) -> Array:
+    """The index of the cell at an offset [m] from the first of ``count`` cells in a row, or of the nearest one."""
+    index = jnp.floor(offset / cell)
+    index = index.astype(jnp.int32)
+    return jnp.clip(index, 0, count - 1)
 
 
 def nearby_obstacles(

@@ -51,7 +51,8 @@ def box_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     near = jnp.maximum(near, enter.z)
     far = jnp.minimum(leave.x, leave.y)
     far = jnp.minimum(far, leave.z)
-    return _ahead(near <= far, near)
+    meets = near <= far
+    return _ahead(meets, near)
 
 
 def cylinder_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
@@ -71,29 +72,33 @@ def cylinder_distance(row: Row, beams: Beams, radius: Array, height: Array) -> A
     # Across the axis the cylinder is a disc.
     square = dot(across_d, across_d)
     is_across = square > 1e-12
-    inverse_square = jnp.where(is_across, 1.0 / jnp.where(is_across, square, 1.0), 0.0)
+    divisor = jnp.where(is_across, square, 1.0)
+    inverse_square = jnp.where(is_across, 1.0 / divisor, 0.0)
     middle = dot(across_q, across_d) * inverse_square
     closest = across_q - across_d * middle
-    free = radius * radius - dot(closest, closest)
+    closest_square = dot(closest, closest)
+    free = radius * radius - closest_square
     touches = free > 0.0
-    has_chord = touches & (inverse_square > 0.0)
-    chord_square = jnp.where(has_chord, free * inverse_square, 1.0)
+    leaves_disc = inverse_square > 0.0
+    chord_square = jnp.where(touches & leaves_disc, free * inverse_square, 1.0)
     chord = _root(chord_square)
 
     # Along the axis it is a slab, as in a box. A ray along the axis never leaves the round part.
     inverse = _inverse(along_d)
-    round_part = jnp.where(inverse_square > 0.0, chord, MISS)
+    round_part = jnp.where(leaves_disc, chord, MISS)
     slab_middle = along_q * inverse
     inside = half_length * jnp.abs(inverse)
     near = jnp.maximum(middle - round_part, slab_middle - inside)
     far = jnp.minimum(middle + round_part, slab_middle + inside)
-    return _ahead(touches & (near <= far), near)
+    meets = touches & (near <= far)
+    return _ahead(meets, near)
 
 
 def sphere_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     """Distance to a sphere, from outside."""
     center = _from_ray(beams, _vector(row, 0))
-    return _ball(center, row[3], beams.direction)
+    radius = row[3]
+    return _ball(center, radius, beams.direction)
 
 
 def person_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
@@ -124,7 +129,8 @@ def _upright_cylinder(q: Vector, beams: Beams, radius: Array) -> Array:
     middle = (q.x * d.x + q.y * d.y) * beams.inverse_run
     x = q.x - middle * d.x
     y = q.y - middle * d.y
-    free = radius * radius - (x * x + y * y)
+    closest_square = x * x + y * y
+    free = radius * radius - closest_square
     touches = (free > 0.0) & (beams.inverse_run > 0.0)
     chord_square = jnp.where(touches, free * beams.inverse_run, 1.0)
     side = middle - _root(chord_square)
@@ -137,7 +143,8 @@ def _ball(q: Vector, radius: Array | float, d: Vector) -> Array:
     """Distance to the sphere at q."""
     middle = dot(q, d)
     closest = q - d * middle
-    free = radius * radius - dot(closest, closest)
+    closest_square = dot(closest, closest)
+    free = radius * radius - closest_square
     touches = free > 0.0
     chord_square = jnp.where(touches, free, 1.0)
     distance = middle - _root(chord_square)
@@ -160,7 +167,8 @@ def _inverse(value: Array) -> Array:
     is_small = jnp.abs(value) < STEEP
     value = jnp.where(is_small, STEEP, value)
     size = jax.lax.rsqrt(value * value)
-    return jnp.where(value < 0.0, -size, size)
+    is_negative = value < 0.0
+    return jnp.where(is_negative, -size, size)
 
 
 # --- normals at a point of the surface ---
@@ -168,22 +176,26 @@ def _inverse(value: Array) -> Array:
 
 def box_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vector:
     """Normal of the side that the point is nearest to."""
+    offset = point - _vector(row, 0)
+    half = _vector(row, 3)
     cosine = row[6]
     sine = row[7]
-    u, v = to_frame(point.x - row[0], point.y - row[1], cosine, sine)
-    w = point.z - row[2]
+    u, v = to_frame(offset.x, offset.y, cosine, sine)
+    w = offset.z
 
     # The point lies on the side beyond which it is farthest.
-    half = _vector(row, 3)
     over_u = jnp.abs(u) - half.x
     over_v = jnp.abs(v) - half.y
     over_w = jnp.abs(w) - half.z
     on_u = (over_u >= over_v) & (over_u >= over_w)
-    on_v = over_v >= over_w
+    v_before_w = over_v >= over_w
+    on_v = ~on_u & v_before_w
+    on_upright_side = on_u | v_before_w
 
+    # The normal in the box's frame, and then in the robot's.
     nu = jnp.where(on_u, jnp.sign(u), 0.0)
-    nv = jnp.where(~on_u & on_v, jnp.sign(v), 0.0)
-    nw = jnp.where(on_u | on_v, 0.0, jnp.sign(w))
+    nv = jnp.where(on_v, jnp.sign(v), 0.0)
+    nw = jnp.where(on_upright_side, 0.0, jnp.sign(w))
     nx = cosine * nu - sine * nv
     ny = sine * nu + cosine * nv
     return Vector(nx, ny, nw)
@@ -196,11 +208,13 @@ def cylinder_normal(row: Row, point: Vector, radius: Array, height: Array) -> Ve
     half_length = row[7]
     from_center = point - _vector(row, 0)
     along = dot(axis, from_center)
-    at_end = jnp.abs(along) >= half_length * (1.0 - 1e-4)
+    end = half_length * (1.0 - 1e-4)
+    at_end = jnp.abs(along) >= end
     outward = from_center - axis * along
 
     def component(outward: Array, axis: Array) -> Array:
-        return jnp.where(at_end, jnp.sign(along) * axis, outward / radius)
+        end_normal = jnp.sign(along) * axis
+        return jnp.where(at_end, end_normal, outward / radius)
 
     return Vector(*map(component, outward, axis))
 
@@ -220,8 +234,9 @@ def person_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vect
     neck = 0.5 * (SHOULDER + radius + HEAD - HEAD_RADIUS)  # m, halfway from the shoulders to the head
     in_head = up > neck
     size = jnp.where(in_head, HEAD_RADIUS, radius)
+    over_head = up - HEAD
     over_shoulder = jnp.maximum(up - SHOULDER, 0.0)
-    z = jnp.where(in_head, up - HEAD, over_shoulder)
+    z = jnp.where(in_head, over_head, over_shoulder)
 
     # The outward vector, over the radius of its sphere.
     return Vector(x / size, y / size, z / size)

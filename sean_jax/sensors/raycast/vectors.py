@@ -32,7 +32,8 @@ class Vector(NamedTuple):
 
 def dot(a: Vector, b: Vector) -> Array:
     """The inner product."""
-    return a.x * b.x + a.y * b.y + a.z * b.z
+    products = a.scaled(b)
+    return products.x + products.y + products.z
 
 
 def to_frame(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:

@@ -129,7 +129,8 @@ def _past_corner(navigation: Navigation, arc: Array, position: Array, tangent: T
     corner = navigation.arcs.corner[arc]
     radius = navigation.radius
     out = position - corner
-    distance = jnp.maximum(length(out[0], out[1]), 0.1 * radius)
+    distance = length(out[0], out[1])
+    distance = jnp.maximum(distance, 0.1 * radius)
     left = jnp.stack([-out[1], out[0]])
     across = navigation.arcs.side[arc] * left
     outward = radius / distance - distance / radius
