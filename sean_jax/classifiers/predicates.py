@@ -61,5 +61,5 @@ def ahead_and_aside(heading: Float[Array, "2"], offset: Float[Array, "2"]) -> tu
 def any_person(snapshot: Snapshot, holds: Callable[[Pedestrians], Array]) -> Bool[Array, ""]:
     """Whether a predicate of a person, ``Pedestrians`` without the axis N, holds for at least one present person."""
     people = snapshot.people
-    held = jax.vmap(holds)(people)  # (N,)
-    return (held & people.present).any()
+    holds_for_person = jax.vmap(holds)(people)  # (N,)
+    return (holds_for_person & people.present).any()

@@ -296,9 +296,9 @@ def build_obstacle_grid(obstacles: Obstacles, floor: Float[Array, "4"], cell: fl
     Raises:
         InputError: too many obstacles lie near one place to fit in memory.
     """
-    floor = np.asarray(floor, float)
-    lower = floor[:2]
-    size = floor[2:] - lower
+    bounds = np.asarray(floor, float)
+    lower = bounds[:2]
+    size = bounds[2:] - lower
     min_cell = np.sqrt(np.prod(size) / MAX_CELLS)
     cell = max(cell, float(min_cell))
     shape = np.maximum(1, np.ceil(size / cell).astype(int))
