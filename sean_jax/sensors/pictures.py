@@ -31,15 +31,15 @@ CLASSES = ("sky", "floor", "obstacle", "person", "robot")
 Color = tuple[Array, Array, Array]  # red, green and blue, of one shape
 
 # Light.
-AMBIENT = 0.5  # share of the light
-SKYLIGHT = 0.16  # share, from above
-SUN = 0.4  # share
+AMBIENT = 0.5  # share of the light that is the same on all sides
+SKYLIGHT = 0.16  # share of the light from above
+SUN = 0.4  # share of the light from the sun
 SHADOW = 0.45  # share of the light lost beside a body
 SHADOW_REACH = 0.22  # m, over which the loss fades
-CORNER = 0.35  # likewise, on a body near the floor
-CORNER_REACH = 0.12
+CORNER = 0.35  # share of the light lost on a body near the floor
+CORNER_REACH = 0.12  # m, over which the loss fades
 JOINT_FADE = 5.0  # m, at which joints have lost much of their contrast
-SQUARE_FADE = 12.0  # m, likewise of squares
+SQUARE_FADE = 12.0  # m, at which squares have lost much of their contrast
 
 # Ceilings.
 TILE = 0.25  # sides of a tile over the height of the ceiling
@@ -55,13 +55,13 @@ BEAM = 0.09  # m, thickness of beams
 UPRIGHT = 0.07  # m, thickness of uprights
 BEAM_COLOR = (0.84, 0.45, 0.16)
 GOODS = (0.74, 0.58, 0.40)
-INSIDE = 0.3
+INSIDE = 0.3  # light inside a shelf, over that of its frame
 
 # Walls and facades.
-BOARD = (0.1, 0.6)  # m up to which a wall is darker, and its light there
-DADO = (1.1, 0.86)
-STOREY = 3.0  # m
-PLINTH = (0.6, 0.7)  # the foot of a facade, likewise
+BOARD = (0.1, 0.6)  # m up to which a wall is darkest, and its light there
+DADO = (1.1, 0.86)  # m up to which a wall is darker, and its light there
+STOREY = 3.0  # m, height of a storey of a facade, and distance of its windows
+PLINTH = (0.6, 0.7)  # m up to which a facade is darker, and its light there
 GLASS = (0.36, 0.45, 0.53)  # color of windows
 
 
@@ -218,9 +218,9 @@ def colors(
 
     # Bodies and floor darken each other where they touch, or things would seem to float.
     light = _light(scenery, state, normal)
-    beside_bodies = _beside_bodies(view, bundle, point.x, point.y)
-    near_floor = _near_floor(up)
-    light = light * jnp.where(is_floor, beside_bodies, near_floor)
+    floor_share = _beside_bodies(view, bundle, point.x, point.y)
+    body_share = _near_floor(up)
+    light = light * jnp.where(is_floor, floor_share, body_share)
     ground_x, ground_y = _over_ground(state, view, point)
     across = _across_wall(state, normal, ground_x, ground_y)
     light, ground_x, ground_y, across = jax.lax.optimization_barrier((light, ground_x, ground_y, across))
@@ -380,8 +380,9 @@ def _squared_distance_below(view: View, box: Array, x: Array, y: Array) -> Array
 def _floor(scenery: Scenery, x: Array, y: Array, distance: Array) -> Color:
     """The color of the floor at places (x, y) [m] over the ground, less in contrast at a distance [m]."""
     # Squares of two colors, in turn.
-    square_number = jnp.floor(x / scenery.square) + jnp.floor(y / scenery.square)
-    is_odd = jnp.mod(square_number, 2.0) > 0.5
+    column = jnp.floor(x / scenery.square)
+    row = jnp.floor(y / scenery.square)
+    is_odd = jnp.mod(column + row, 2.0) > 0.5
     contrast = 0.5 * jnp.exp(-distance / SQUARE_FADE)
     second = jnp.where(is_odd, 0.5 + contrast, 0.5 - contrast)
 
