@@ -376,6 +376,7 @@ def surface(view: View, rays: Rays, number: Int[Array, "tiles rays"]) -> tuple[F
 
     The distance is ``MISS`` for the sky and where rounding lets a ray miss the body.
     """
+    # Without a body it is the floor, whose normal points up, or the sky.
     first_box, first_cylinder, first_sphere, first_person, floor = _first_numbers(view)
     beams = Beams.of(rays)
     distance = ground(view.height, beams.direction.z, beams.inverse_rise)
@@ -392,6 +393,8 @@ def surface(view: View, rays: Rays, number: Int[Array, "tiles rays"]) -> tuple[F
         count = len(table)
         if not count:
             continue
+
+        # Rays to other kinds of bodies take any row, and keep what they have.
         end = start + count
         is_kind = (number >= start) & (number < end)
         index = jnp.clip(number - start, 0, count - 1)
@@ -399,6 +402,8 @@ def surface(view: View, rays: Rays, number: Int[Array, "tiles rays"]) -> tuple[F
 
         to_body = law(row, beams, view.radius, view.height)
         distance = jnp.where(is_kind, to_body, distance)
+
+        # A point of the surface, at any finite distance where there is none.
         to_point = jnp.where(is_kind & (to_body < MISS), to_body, 1.0)
         point = along(rays, to_point)
         body_normal = normal_law(row, point, view.radius, view.height)
