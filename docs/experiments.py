@@ -6,7 +6,6 @@ folder of results/. The tables are written anew, the text between them stays.
 
 import csv
 import functools
-import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -16,6 +15,9 @@ PAGES = [DOCS / "situations.md", *sorted((DOCS / "results").glob("*.md"))]
 RESULTS = DOCS.parent / "results"
 BEHAVIORS = "random", "handcrafted", "graph"
 SITUATIONS = "cross_path", "down_path", "join_group", "leave_group", "empty"
+PAPERS = "G", "R", "H", "B", "N", "E"
+"""Policies with a letter: those of the paper's Figure 4, G with balanced examples, and the expert."""
+OF_COMPLETED = "time_not_moving_of_completed"
 Row = dict[str, str]
 
 
@@ -41,30 +43,50 @@ def plus_minus(row: Row, mean: str, scale: float, digits: int) -> str:
     return form.format(*texts)
 
 
-def shares(folder: str) -> str:
-    """Table I: percent of all flags at the first V, and entropies, beside the paper's.
+def presets(folder: str) -> tuple[str, str]:
+    """The folders of an experiment with the default conditions and with SEAN's."""
+    return folder, f"{folder}-sean2"
 
-    Ratios of shares do not depend on what they are shares of. "none" is percent of the examples in no situation.
+
+def bold(text: str, *, marked: bool) -> str:
+    """A cell, bold if it is marked."""
+    return f"**{text}**" if marked else text
+
+
+def shares(folder: str) -> str:
+    """Table I under both presets: percent of all flags at the first V, and entropies, beside the paper's.
+
+    Figures are bold where the paper's does not fit an hour. Ratios of shares do not depend on what they are shares of.
+    "none" is percent of the examples in no situation.
     """
-    hours = read(folder, "hours")
-    flags = [row for row in read(folder, "shares") if row["counting"] == "flags"]
-    entropies, speed = read(folder, "entropies"), flags[0]["V"]
     rows = []
     for behavior in BEHAVIORS:
-        printed = {row["figure"]: float(row["paper"]) for row in hours if row["behavior"] == behavior}
+        printed = {row["figure"]: float(row["paper"]) for row in read(folder, "hours") if row["behavior"] == behavior}
         numbers = [f"{100 * printed[name]:.1f}" for name in SITUATIONS]
         rows.append([f"**{behavior}**, paper", *numbers, "", f"{printed['entropy']:.3f}", *ratios(printed)])
-        for policy in dict.fromkeys(row["policy"] for row in flags):
-            mine = [r for r in flags if (r["policy"], r["behavior"], r["V"]) == (policy, behavior, speed)][:5]
-            entropy = next(r for r in entropies if (r["policy"], r["behavior"], r["V"]) == (policy, behavior, speed))
-            cells = [plus_minus(row, "share", 100, 1) for row in mine]
-            none, shares = (
-                f"{100 * float(entropy['none']):.1f}",
-                {row["situation"]: float(row["share"]) for row in mine},
-            )
-            rows.append([f"`{policy}`", *cells, none, plus_minus(entropy, "entropy", 1, 3), *ratios(shares)])
+        rows += _shares(folder, behavior, "")
+        rows += _shares(f"{folder}-sean2", behavior, ", `sean2`")
     names = [name.replace("_", " ") for name in SITUATIONS]
     return markdown(["", *names, "none", "entropy", "down / cross", "(cross + down) / empty"], rows)
+
+
+def _shares(folder: str, behavior: str, preset: str) -> list[list[str]]:
+    """A row for each policy."""
+    hours, entropies = read(folder, "hours"), read(folder, "entropies")
+    flags = select(read(folder, "shares"), counting="flags")
+    rows = []
+    for policy in dict.fromkeys(row["policy"] for row in flags):
+        own = {"policy": policy, "behavior": behavior}
+        misfits = {row["figure"] for row in select(hours, **own) if float(row["holm"]) < 0.05}
+        mine = select(flags, **own, V=flags[0]["V"])[:5]
+        cells = [bold(plus_minus(row, "share", 100, 1), marked=row["situation"] in misfits) for row in mine]
+
+        (entropy,) = select(entropies, **own, V=flags[0]["V"], people=mine[0]["people"])
+        mixture = bold(plus_minus(entropy, "entropy", 1, 3), marked="entropy" in misfits)
+        none = f"{100 * float(entropy['none']):.1f}"
+        values = {row["situation"]: float(row["share"]) for row in mine}
+        rows.append([f"`{policy}`{preset}", *cells, none, mixture, *ratios(values)])
+    return rows
 
 
 def ratios(shares: dict[str, float]) -> list[str]:
@@ -73,36 +95,23 @@ def ratios(shares: dict[str, float]) -> list[str]:
     return [f"{above / below:.2f}" if below else "" for above, below in ((down, cross), (cross + down, empty))]
 
 
-def hours(folder: str) -> str:
-    """The paper's figures beside the interval of one hour; bold where they do not fit."""
-    rows, every = [], read(folder, "hours")
-    for behavior in BEHAVIORS:
-        for policy in dict.fromkeys(row["policy"] for row in every):
-            cells = []
-            for row in (r for r in every if (r["policy"], r["behavior"]) == (policy, behavior)):
-                scale, digits = (1, 3) if row["figure"] == "entropy" else (100, 1)
-                low, high, paper = (f"{scale * float(row[end]):.{digits}f}" for end in ("low", "high", "paper"))
-                paper = f"**{paper}**" if float(row["holm"]) < 0.05 else paper
-                cells.append(f"{paper} [{low}, {high}]")
-            rows.append([f"{behavior}, `{policy}`", *cells])
-    return markdown(["", *(name.replace("_", " ") for name in SITUATIONS), "entropy"], rows)
-
-
 def orderings(folder: str) -> str:
-    """Whether the paper's orderings hold, at the first V by flags, and in which share of the resamples."""
-    every = [row for row in read(folder, "orderings") if row["counting"] == "flags"]
-    every = [row for row in every if row["V"] == every[0]["V"]]
-    policies, rows = list(dict.fromkeys(row["policy"] for row in every)), []
-    for name in dict.fromkeys(row["ordering"] for row in every):
-        several = {row["policy"]: row for row in every if row["ordering"] == name}
-        first, cells = several[policies[0]], []
-        for policy in policies:
-            share = float(several[policy]["share_of_resamples"])
-            words = "yes" if several[policy]["holds"] == "True" else "no"
-            sure = "" if share >= 0.975 or share <= 0.025 else "perhaps "
-            cells.append(f"{sure}{words}, {100 * share:.4g} %")
-        rows.append([name, first["source"], first["statement"], *cells])
-    return markdown(["", "source", "ordering of the paper", *(f"`{policy}`" for policy in policies)], rows)
+    """The share of resamples, in percent, in which each of the paper's orderings holds, at the first V by flags."""
+    first, others = (
+        [row for row in rows if row["counting"] == "flags" and row["V"] == rows[0]["V"]]
+        for rows in (read(each, "orderings") for each in presets(folder))
+    )
+    policies, rows = list(dict.fromkeys(row["policy"] for row in first)), []
+    for name in dict.fromkeys(row["ordering"] for row in first):
+        cells = [
+            f"{100 * float(select(every, policy=policy, ordering=name)[0]['share_of_resamples']):.4g}"
+            for every in (first, others)
+            for policy in policies
+        ]
+        (row, *_) = select(first, ordering=name)
+        rows.append([name, row["source"], row["statement"], *cells])
+    names = [f"`{policy}`{preset}" for preset in ("", ", `sean2`") for policy in policies]
+    return markdown(["", "source", "ordering of the paper", *names], rows)
 
 
 def select(rows: list[Row], **values: str) -> list[Row]:
@@ -142,38 +151,27 @@ def crowds(folder: str) -> str:
 
 
 def driven(measure: str, folder: str) -> str:
-    """A measure of Figure 4: policies by behaviors, and their mean; completed tasks in percent."""
+    """A measure of Figure 4: policies by behaviors, and their mean, under both presets; completed tasks in percent.
+
+    Times of completed episodes are of the policies with a letter only.
+    """
     digits = 1 if measure == "completed" else 2
-    cells = select(read(folder, "figure4"), measure=measure)
+    both = [read(each, "figure4") for each in presets(folder)]
+    names = [row["policy"] for row in select(both[0], measure="completed", behavior="mean")]
     rows = []
-    for policy in dict.fromkeys(row["policy"] for row in cells):
-        mine = [select(cells, policy=policy, behavior=name) for name in (*BEHAVIORS, "mean")]
-        if all(mine):
-            texts = [plus_minus(row, "mean", 1, digits) for (row,) in mine]
-            rows.append(
-                [policy if policy in PRINTED else f"`{policy}`", *texts, PRINTED.get(policy, {}).get(measure, "")]
-            )
-    return markdown(["", *BEHAVIORS, "mean", "paper, mean"], rows)
-
-
-def standing(folder: str) -> str:
-    """Time not moving of all episodes and of completed ones: the others may have been stuck until the time limit."""
-    every, rows = read(folder, "figure4"), []
-    for policy in dict.fromkeys(row["policy"] for row in every):
-        mine = select(every, policy=policy)
-        cells = [select(mine, measure="time_not_moving", behavior=name) for name in (*BEHAVIORS, "mean")]
-        if not all(cells):
+    for policy in names if measure != OF_COMPLETED else PAPERS:
+        if "-" in policy:
             continue
-        texts = [plus_minus(row, "mean", 1, 2) for (row,) in cells]
-        printed = PRINTED.get(policy, {}).get("time_not_moving", "")
-
-        completed = [select(mine, measure="time_not_moving_of_completed", behavior=name) for name in BEHAVIORS]
-        only = [plus_minus(row[0], "mean", 1, 2) if row else "" for row in completed]
-        mean = f"{sum(float(row['mean']) for (row,) in completed) / len(BEHAVIORS):.2f}" if all(completed) else ""
-        rows.append([policy if policy in PRINTED else f"`{policy}`", *texts, printed, *only, mean])
-    return markdown(
-        ["", *BEHAVIORS, "mean", "paper, mean", *(f"{name}, completed" for name in (*BEHAVIORS, "mean"))], rows
-    )
+        texts = []
+        for every in both:
+            cells = [select(every, policy=policy, behavior=name, measure=measure)[0] for name in BEHAVIORS]
+            mean = select(every, policy=policy, behavior="mean", measure=measure)
+            middle = sum(float(row["mean"]) for row in cells) / len(BEHAVIORS)
+            texts += [plus_minus(row, "mean", 1, digits) for row in cells]
+            texts.append(plus_minus(mean[0], "mean", 1, digits) if mean else f"{middle:.{digits}f}")
+        rows.append([policy if policy in PAPERS else f"`{policy}`", *texts])
+    columns = [*BEHAVIORS, "mean"]
+    return markdown(["", *columns, *(f"{name}, `sean2`" for name in columns)], rows)
 
 
 def interval(row: Row, name: str, digits: int = 2) -> str:
@@ -181,38 +179,58 @@ def interval(row: Row, name: str, digits: int = 2) -> str:
     return "{} [{}, {}]".format(*(f"{float(row[each]):.{digits}f}" for each in (name, "low", "high")))
 
 
+def differences(rows: Iterable[str], cell: Callable[[str, str, str], str], folder: str) -> str:
+    """A row for each pair, a column for each measure under each preset."""
+    lines = []
+    for row in rows:
+        lines.append([row, *(cell(each, row, name) for each in presets(folder) for name in MEASURES)])
+    titles = [title for title, *_ in MEASURES.values()]
+    return markdown(["", *titles, *(f"{title}, `sean2`" for title in titles)], lines)
+
+
 def contrasts(folder: str) -> str:
-    """Differences of the paper's policies over the three scenarios."""
-    rows = []
-    for row in read(folder, "contrasts"):
-        if row["measure"] != "collisions" and row["policy"] in PRINTED:
-            holm = float(row["holm"])
-            p = "" if math.isnan(holm) else f"{holm:.2g}" if holm >= 1e-4 else "< 0.0001"
-            measure = "completed, %" if row["measure"] == "completed" else row["measure"].replace("_", " ")
-            names = f"{row['policy']} - {row['other']}", measure
-            rows.append([*names, interval(row, "difference"), f"{float(row['d']):.2f}", p])
-    return markdown(["policies", "measure", "difference", "d", "p (Holm)"], rows)
+    """Differences of the paper's policies over the three scenarios; bold where they are certain."""
+    every = {each: [row for row in read(each, "contrasts") if row["policy"] in PAPERS] for each in presets(folder)}
+
+    def cell(each: str, pair: str, measure: str) -> str:
+        policy, other = pair.split(" - ")
+        (row,) = select(every[each], policy=policy, other=other, measure=measure)
+        return bold(interval(row, "difference"), marked=float(row["holm"]) < 0.05)
+
+    pairs = dict.fromkeys(f"{row['policy']} - {row['other']}" for row in every[folder])
+    return differences(pairs, cell, folder)
 
 
 def claims(folder: str) -> str:
     """Statements on Figure 4, the paper's and ours, and the share of the resamples in which each holds."""
+    both = [read(each, "claims") for each in presets(folder)]
     rows = []
-    for row in read(folder, "claims"):
-        share = float(row["share_of_resamples"])
-        sure = "" if share >= 0.975 or share <= 0.025 else "perhaps "
-        holds = f"{sure}{'yes' if row['holds'] == 'True' else 'no'}, {100 * share:.4g} %"
+    for pair in zip(*both, strict=True):
+        cells = []
+        for row in pair:
+            share = float(row["share_of_resamples"])
+            sure = "" if share >= 0.975 or share <= 0.025 else "perhaps "
+            cells += [row["ours"], f"{sure}{'yes' if row['holds'] == 'True' else 'no'}, {100 * share:.4g} %"]
+        row = pair[0]
         source = "ours" if row["paper"] == "not reported" else "paper"
         limit = re.search(r"by half|within 5 %", row["statement"])
         source += f', "{limit[0]}" ours' if limit else ""
-        rows.append([row["statement"], source, row["paper"], row["ours"], holds])
-    return markdown(["statement", "whose", "paper", "here", "holds"], rows)
+        rows.append([row["statement"], source, row["paper"], *cells])
+    return markdown(["statement", "whose", "paper", "default", "holds", "`sean2`", "holds"], rows)
 
 
 def switches(folder: str) -> str:
-    """The ablation: the share of resamples, in percent, in which each ordering holds under each world's conditions."""
+    """The ablation: the share of resamples, in percent, in which each ordering holds under each world's conditions.
+
+    Orderings with the same share in all worlds have no column.
+    """
     every = select(read(folder, "orderings"), counting="flags")
     every = select(every, policy=every[0]["policy"])
-    names = list(dict.fromkeys(row["ordering"] for row in every))
+    names = [
+        name
+        for name in dict.fromkeys(row["ordering"] for row in every)
+        if len({row["share_of_resamples"] for row in select(every, ordering=name)}) > 1
+    ]
     rows = []
     for world in dict.fromkeys(row["world"] for row in every):
         cells = {row["ordering"]: f"{100 * float(row['share_of_resamples']):.4g}" for row in select(every, world=world)}
@@ -221,26 +239,28 @@ def switches(folder: str) -> str:
 
 
 def verdicts(folder: str) -> str:
-    """Differences between networks of the learning curve, over the three scenarios."""
-    rows = []
-    for row in read(folder, "verdicts"):
-        share = float(row["share_of_resamples"])
-        names = row["variant"], row["other"], row["measure"].replace("_", " ")
-        rows.append([*names, interval(row, "difference"), f"{100 * share:.4g} %"])
-    return markdown(["networks with", "against", "measure", "difference", "better in"], rows)
+    """Differences between networks of the learning curve, over the three scenarios; bold where they are certain."""
+    every = {each: read(each, "verdicts") for each in presets(folder)}
+
+    def cell(each: str, pair: str, measure: str) -> str:
+        variant, other = pair.split(" - ")
+        (row,) = select(every[each], variant=variant, other=other, measure=measure)
+        return bold(interval(row, "difference"), marked=not 0.025 < float(row["share_of_resamples"]) < 0.975)
+
+    pairs = dict.fromkeys(f"{row['variant']} - {row['other']}" for row in every[folder])
+    return differences(pairs, cell, folder)
 
 
 def curve(folder: str) -> str:
     """The learning curve: means over the three scenarios."""
-    every = select(read(folder, "learning_curve"), behavior="mean")
+    both = [select(read(each, "learning_curve"), behavior="mean") for each in presets(folder)]
     rows = []
-    for variant in dict.fromkeys(row["variant"] for row in every):
-        cells = [
-            select(every, variant=variant, measure=name)[0] for name in ("completed", "time_not_moving", "violations")
-        ]
-        texts = [plus_minus(cell, "mean", 1, digits) for cell, digits in zip(cells, (1, 2, 2), strict=True)]
+    for variant in dict.fromkeys(row["variant"] for row in both[0]):
+        cells = [select(every, variant=variant, measure=name)[0] for every in both for name in MEASURES]
+        texts = [plus_minus(cell, "mean", 1, digits) for cell, digits in zip(cells, (1, 2, 2) * 2, strict=True)]
         rows.append([f"`{variant}`", *texts])
-    return markdown(["demonstrations", "completed, %", "time not moving, s", "violations"], rows)
+    titles = [title for title, *_ in MEASURES.values()]
+    return markdown(["demonstrations", *titles, *(f"{title}, `sean2`" for title in titles)], rows)
 
 
 def more(folder: str) -> str:
@@ -268,21 +288,12 @@ def ranking(folder: str) -> str:
         cells = [select(every, **mine, tracks=name)[0] for name in groups]
         texts = [plus_minus(cell, "polite_percent", 1, 1) for cell in cells]
         rank = row["first_rank"] + (f"-{row['last_rank']}" if row["last_rank"] != row["first_rank"] else "")
-        rows.append([row["class"], rank, f"`{row['policy']}`", row["results"], *texts])
-    return markdown(["class", "rank", "policy", "results", *groups], rows)
+        several = f" ({row['results']})" if row["results"] != "1" else ""
+        rows.append([row["class"], rank, f"`{row['policy']}`{several}", *texts])
+    return markdown(["class", "rank", "policy", *groups], rows)
 
 
-PRINTED = {  # Section V-C: means over the scenarios, of 123 tasks and in seconds
-    "G": {"completed": "91.6", "time_not_moving": "11"},
-    "R": {"time_not_moving": "16.3"},
-    "H": {"completed": "91.6", "time_not_moving": "22"},
-    "N": {"time_not_moving": "28.7"},
-    "E": {},
-    "B": {},
-}
-
-
-MEASURES = {  # of `stacks`: title, scale, digits
+MEASURES = {  # title; scale and digits in `stacks`
     "completed": ("completed, %", 100, 0),
     "time_not_moving": ("not moving, s", 1, 1),
     "violations": ("violations", 1, 2),
@@ -303,23 +314,21 @@ def stacks(folder: str) -> str:
             place = {"behavior": behavior, "measure": measure}
             own = [select(cells, policy=name, **place)[0] for name in ("real", "N", "move_base")]
             gaps = [select(contrasts, other=name, **place)[0] for name in ("N", "move_base")]
-            sure = ("**" if float(gap["holm"]) < 0.05 else "" for gap in gaps)
-            differences = [f"{mark}{text(gap, 'difference', '+')}{mark}" for mark, gap in zip(sure, gaps, strict=True)]
+            texts = [bold(text(gap, "difference", "+"), marked=float(gap["holm"]) < 0.05) for gap in gaps]
             name = f"**{title}**, {behavior}" if behavior == "graph" else behavior
-            counts = own[0]["episodes"], gaps[0]["episodes"]
-            rows.append([name, *counts, *(text(row, "mean") for row in own), *differences])
-    head = ["", "episodes", "the same", "real move_base", "N", "`move_base`", "real less N", "real less `move_base`"]
+            rows.append([name, *(text(row, "mean") for row in own), *texts])
+    head = ["", "real move_base", "N", "`move_base`", "real less N", "real less `move_base`"]
     return markdown(head, rows)
 
 
 TABLES: dict[str, Callable[[str], str]] = {
     "shares": shares,
-    "hours": hours,
     "orderings": orderings,
     "speeds": speeds,
     "crowds": crowds,
     "completed": functools.partial(driven, "completed"),
-    "time_not_moving": standing,
+    "time_not_moving": functools.partial(driven, "time_not_moving"),
+    "of_completed": functools.partial(driven, OF_COMPLETED),
     "violations": functools.partial(driven, "violations"),
     "contrasts": contrasts,
     "claims": claims,

@@ -9,16 +9,24 @@ from pathlib import Path
 from sean_jax.studies.validation.checks import CHECKS
 
 PAGE = Path(__file__).parent / "validation.md"
+STANDARD = r"(RiMEA|IMO|NIST|ISO) .*, test [\d.]+"
 HEAD = "| check | geometry and people | measured, and when it passes | data | source |\n|---|---|---|---|---|\n"
 
 
 def table() -> str:
-    """A row for each check."""
-    rows = (
-        f"| `{name}` | {check.setup} | {check.measure}: {check.criterion} | {check.data} | {check.source} |\n"
-        for name, check in CHECKS.items()
-    )
-    return HEAD + "".join(rows)
+    """A row for each check; checks that differ in their name and source alone share a row."""
+    same: dict[tuple[str, ...], list[str]] = {}
+    for name, check in CHECKS.items():
+        same.setdefault((check.setup, check.measure, check.criterion, check.data), []).append(name)
+    return HEAD + "".join(row(names) for names in same.values())
+
+
+def row(names: list[str]) -> str:
+    """The row of one check, or of checks that are equal; a test of a standard has its source in its name."""
+    check = CHECKS[names[0]]
+    called = ", ".join(f"`{name}`" for name in names)
+    source = "" if re.fullmatch(STANDARD, check.source) else check.source
+    return f"| {called} | {check.setup} | {check.measure}: {check.criterion} | {check.data} | {source} |\n"
 
 
 def fill(text: str) -> str:

@@ -44,9 +44,13 @@ def o_space_groups(
     number = votes.shape[0]
     index = jnp.arange(number, dtype=jnp.int32)
     start = Clusters(index, votes, present.astype(votes.dtype))
-    merge = lambda _, clusters: _merge(clusters, index, price)  # noqa: E731
+
+    def merge(_: Array, clusters: Clusters) -> Clusters:
+        return _merge(clusters, index, price)
+
     label, _, size = jax.lax.fori_loop(0, max(number - 1, 0), merge, start)
-    return jnp.where(present & (size[label] > 1), label, -1)
+    in_group = present & (size[label] > 1)
+    return jnp.where(in_group, label, -1)
 
 
 class Clusters(NamedTuple):
@@ -63,26 +67,40 @@ def _merge(clusters: Clusters, index: Int[Array, " N"], price: Float[Array, ""] 
 
     # A merger of two clusters adds n m / (n + m) |gap|^2 to the sum of squared distances (Ward 1963).
     gap = center[:, None, :] - center[None, :, :]  # (N, N, 2) m
+    square = (gap * gap).sum(-1)
+    size_1 = size[:, None]
+    size_2 = size[None, :]
     alive = size > 0
-    pairs = alive[:, None] & alive[None, :] & (index[:, None] < index[None, :])
-    together = jnp.where(pairs, size[:, None] + size[None, :], 1.0)
-    cost = jnp.where(pairs, size[:, None] * size[None, :] / together * (gap * gap).sum(-1), APART)
+    in_order = index[:, None] < index[None, :]
+    pairs = alive[:, None] & alive[None, :] & in_order
+    both_sizes = jnp.where(pairs, size_1 + size_2, 1.0)
+    added = size_1 * size_2 / both_sizes * square  # (N, N) m2
+    cost = jnp.where(pairs, added, APART)
 
     # A merger saves the price of one group, so even the cheapest one pays only below that price.
     best = jnp.argmin(cost)
     number = index.shape[0]
-    first, second = (best // number).astype(jnp.int32), (best % number).astype(jnp.int32)
-    pays = cost.reshape(-1)[best] < price
+    first = (best // number).astype(jnp.int32)
+    second = (best % number).astype(jnp.int32)
+    least_cost = cost.reshape(-1)[best]
+    pays = least_cost < price
 
     # The loop has a fixed length: a merger that does not pay is computed too, kept finite by 1, and discarded.
     total = jnp.where(pays, size[first] + size[second], 1.0)
-    mean = (size[first] * center[first] + size[second] * center[second]) / total
+    vote_sum = size[first] * center[first] + size[second] * center[second]
+    mean = vote_sum / total  # (2,) m
 
     # ``first`` is the lower index, so a cluster keeps the index of its first member.
-    label = jnp.where(pays & (label == second), first, label)
-    center = jnp.where(pays & (index == first)[:, None], mean[None, :], center)
-    merged_size = jnp.where(index == first, total, jnp.where(index == second, 0.0, size))
-    return Clusters(label, center, jnp.where(pays, merged_size, size))
+    is_first = index == first
+    is_second = index == second
+    joins = pays & (label == second)
+    label = jnp.where(joins, first, label)
+    moves = pays & is_first
+    center = jnp.where(moves[:, None], mean[None, :], center)
+    without_second = jnp.where(is_second, 0.0, size)
+    merged_size = jnp.where(is_first, total, without_second)
+    size = jnp.where(pays, merged_size, size)
+    return Clusters(label, center, size)
 
 
 def match_groups(
@@ -104,28 +122,44 @@ def match_groups(
     index = jnp.arange(number, dtype=jnp.int32)
 
     # Numbers of groups mean nothing across the two partitions: groups are compared as sets of people.
-    in_estimated = (estimated[None, :] == index[:, None]) & present[None, :]  # (groups, people)
-    in_annotated = (annotated[None, :] == index[:, None]) & present[None, :]
-    common = (in_annotated[:, None, :] & in_estimated[None, :, :]).sum(-1, dtype=jnp.int32)  # (annotated, estimated)
-    size, true_size = in_estimated.sum(-1, dtype=jnp.int32), in_annotated.sum(-1, dtype=jnp.int32)
+    group = index[:, None]
+    is_present = present[None, :]
+    in_estimated = (estimated[None, :] == group) & is_present  # (groups, people)
+    in_annotated = (annotated[None, :] == group) & is_present
+    in_both = in_annotated[:, None, :] & in_estimated[None, :, :]
+    common = in_both.sum(-1, dtype=jnp.int32)  # (annotated, estimated)
+    size = in_estimated.sum(-1, dtype=jnp.int32)
+    true_size = in_annotated.sum(-1, dtype=jnp.int32)
 
     # Rounding may lift T n just above a whole number, which ceil would raise by one person: hence 1e-4.
     real = true_size.astype(float)
-    need = jnp.ceil(tolerance * real - 1e-4).astype(jnp.int32)
-    spare = jnp.ceil((1 - tolerance) * real - 1e-4).astype(jnp.int32)
-    match = (common >= need[:, None]) & (size[None, :] - common <= spare[:, None])  # (annotated, estimated)
+    need = jnp.ceil(tolerance * real - 1e-4)
+    need = need.astype(jnp.int32)
+    spare = jnp.ceil((1 - tolerance) * real - 1e-4)
+    spare = spare.astype(jnp.int32)
+    others = size[None, :] - common
+    enough = common >= need[:, None]
+    few_others = others <= spare[:, None]
+    match = enough & few_others  # (annotated, estimated)
 
     # A person alone is no group, or scenes of loners would raise both scores.
-    match = match & (true_size > 1)[:, None] & (size > 1)[None, :]
+    is_group = size > 1
+    is_true_group = true_size > 1
+    match = match & is_true_group[:, None]
+    match = match & is_group[None, :]
 
     # Each annotated group in turn takes the first estimated group that matches and is free.
     def take(free: Array, row: Array) -> tuple[Array, Array]:
-        hit = row & free
-        chosen = jnp.argmax(hit)
-        return free & ~(hit.any() & (index == chosen)), hit.any()
+        candidates = row & free
+        chosen = jnp.argmax(candidates)
+        exists = candidates.any()
+        taken = exists & (index == chosen)
+        return free & ~taken, exists
 
     _, hits = jax.lax.scan(take, jnp.ones(number, bool), match)
 
     # Counts add up over frames; precision and recall of one frame do not, and it may have no group at all.
-    counts = hits.sum(dtype=jnp.int32), (size > 1).sum(dtype=jnp.int32), (true_size > 1).sum(dtype=jnp.int32)
-    return jnp.stack(counts)
+    matched = hits.sum(dtype=jnp.int32)
+    estimates = is_group.sum(dtype=jnp.int32)
+    annotations = is_true_group.sum(dtype=jnp.int32)
+    return jnp.stack([matched, estimates, annotations])

@@ -156,8 +156,10 @@ def narrow_passage(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""
     obstacles = snapshot.obstacles
     if obstacles is None:
         return jnp.zeros((), bool)
-    dx, dy = snapshot.heading[0], snapshot.heading[1]
-    left, right = jnp.stack([-dy, dx]), jnp.stack([dy, -dx])
+    dx = snapshot.heading[0]
+    dy = snapshot.heading[1]
+    left = jnp.stack([-dy, dx])
+    right = jnp.stack([dy, -dx])
     free = _ray_length(obstacles, snapshot.position, snapshot.heading)
     limit = snapshot.robot_radius + snapshot.person_radius + thresholds.personal
 
@@ -237,7 +239,8 @@ def collision_course(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, 
     touch = snapshot.robot_radius + snapshot.person_radius
 
     def holds(agent: Pedestrians) -> Array:
-        gap, relative = agent.position - snapshot.position, agent.velocity - snapshot.velocity
+        gap = agent.position - snapshot.position
+        relative = agent.velocity - snapshot.velocity
         square = (relative * relative).sum()
         still = square < TINY
         nearest = -(gap * relative).sum() / jnp.where(still, 1.0, square)  # s, when the centres are closest
@@ -309,12 +312,14 @@ def _ray_length(
     """
 
     def distance(box: Obstacles) -> Array:
-        cosine, sine = jnp.cos(box.yaw), jnp.sin(box.yaw)
+        cosine = jnp.cos(box.yaw)
+        sine = jnp.sin(box.yaw)
         x, y = rotate(place[0] - box.center[0], place[1] - box.center[1], cosine, -sine)
         dx, dy = rotate(direction[0], direction[1], cosine, -sine)
         near_x, far_x = _slab(x, dx, box.half_extent[0])
         near_y, far_y = _slab(y, dy, box.half_extent[1])
-        enter, leave = jnp.maximum(near_x, near_y), jnp.minimum(far_x, far_y)
+        enter = jnp.maximum(near_x, near_y)
+        leave = jnp.minimum(far_x, far_y)
         return jnp.where((enter < leave) & (leave > 0), jnp.maximum(enter, 0.0), FAR)
 
     lengths = jax.vmap(distance)(obstacles)
@@ -325,7 +330,8 @@ def _slab(x: Array, dx: Array, half: Array) -> tuple[Array, Array]:
     """Distances [m] at which a ray enters and leaves |x| < half [m]."""
     steep = jnp.abs(dx) > 1e-9
     inverse = 1.0 / jnp.where(steep, dx, 1.0)
-    low, high = (-half - x) * inverse, (half - x) * inverse
+    low = (-half - x) * inverse
+    high = (half - x) * inverse
     within = jnp.abs(x) < half
     enter = jnp.where(steep, jnp.minimum(low, high), jnp.where(within, -FAR, FAR))
     leave = jnp.where(steep, jnp.maximum(low, high), jnp.where(within, FAR, -FAR))

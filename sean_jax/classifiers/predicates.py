@@ -46,15 +46,20 @@ def cosine(d1: Float[Array, "2"], d2: Float[Array, "2"]) -> Float[Array, ""]:
     """Cosine of the angle between two vectors; -2, so that no predicate holds, if one of them is zero (to 1e-12)."""
     square = (d1 * d1).sum() * (d2 * d2).sum()
     zero = square < TINY
-    return jnp.where(zero, -2.0, (d1 * d2).sum() / jnp.sqrt(jnp.where(zero, 1.0, square)))
+    product = (d1 * d2).sum()
+    lengths = jnp.sqrt(jnp.where(zero, 1.0, square))
+    return jnp.where(zero, -2.0, product / lengths)
 
 
 def ahead_and_aside(heading: Float[Array, "2"], offset: Float[Array, "2"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Parts of an offset [m] along a heading and to its left."""
     ahead = heading[0] * offset[0] + heading[1] * offset[1]
-    return ahead, heading[0] * offset[1] - heading[1] * offset[0]
+    aside = heading[0] * offset[1] - heading[1] * offset[0]
+    return ahead, aside
 
 
 def any_person(snapshot: Snapshot, holds: Callable[[Pedestrians], Array]) -> Bool[Array, ""]:
     """Whether a predicate of a person, ``Pedestrians`` without the axis N, holds for at least one present person."""
-    return (jax.vmap(holds)(snapshot.people) & snapshot.people.present).any()
+    people = snapshot.people
+    holds_for_person = jax.vmap(holds)(people)  # (N,)
+    return (holds_for_person & people.present).any()

@@ -6,6 +6,7 @@ beside this one has what each command does.
 
 import logging
 import os
+import re
 import signal
 import sys
 import threading
@@ -48,7 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _mute_orbax()
     if traced := TRACEBACK in words:
         words.remove(TRACEBACK)
-    code, received = STOPPED, []
+    code = STOPPED
+    received = []
     try:
         with interrupts.interruptible() as received:
             code = _main(words, traced)
@@ -113,14 +115,37 @@ def _execute(words: list[str]) -> int:
     """Parse the words of a command and execute it."""
     name = _name(words)
     _refuse_empty(words)
-    model, word = COMMANDS[name], words[0]
-    parsed = flags.parse(word, model, words[1:], configurable=word in CONFIGURABLE, trust=word in READERS)
+    model = COMMANDS[name]
+    word = words[0]
+    parsed = flags.parse(name, model, words[1:], configurable=word in CONFIGURABLE, trust=word in READERS)
     from sean_jax.cli import xla_flags
     from sean_jax.config import user_parts
 
     with user_parts.read_once(), user_parts.trust() if parsed.get("trust") else nullcontext():
         xla_flags.configure()  # before JAX is imported, as by code of the user's own
-        return _do(name, _read(model, parsed))
+        options = _read(model, parsed)
+        try:
+            return _do(name, options)
+        except InputError as error:
+            if _begins_with(error, _names_of_file(options, parsed)):
+                error.args = (f"{parsed['config']}: {error}",)
+            raise
+
+
+def _names_of_file(options: Config, parsed: Mapping[str, Any]) -> set[str]:
+    """The options, and the options of their components, that the file of --config has and no word of the user."""
+    names = set[str]()
+    for name in options.model_fields_set if "config" in parsed else ():
+        part = getattr(options, name)
+        names |= {name, *(part.model_fields_set if isinstance(part, config.Component) else ())}
+    added = {name for name, family in config.families(type(options)).items() if family.singular in parsed}
+    return names - parsed.keys() - added
+
+
+def _begins_with(error: InputError, names: set[str]) -> bool:
+    """Whether a sentence begins with one of the options, as ``people: 9`` and ``environment 'moon'`` do."""
+    found = re.match(r"(--)?[a-z][a-z_-]*(?=[.: ])", str(error))
+    return found is not None and flags.field_of(found[0]) in names
 
 
 def _explain(error: BaseException, traced: bool) -> int | None:
@@ -169,7 +194,8 @@ def _summary(text: str | None) -> str:
 
 def _help(group: str = "") -> str:
     """The commands, or the commands of a group, a line each."""
-    words, sean = _words(group), f"sean {group}".strip()
+    words = _words(group)
+    sean = f"sean {group}".strip()
     width = max(map(len, words))
     lines = [f"  {word:<{width}}  {summary}" for word, summary in words.items()]
     about = GROUPS.get(group, "Social robot navigation in JAX: simulate, measure, report.")
@@ -186,7 +212,8 @@ def _name(words: list[str]) -> str:
     group = words[0] if words[0] in GROUPS else ""
     name = " ".join(words[:2] if group else words[:1])
     if name not in COMMANDS:
-        word, known = name.removeprefix(group).strip(), _words(group)
+        word = name.removeprefix(group).strip()
+        known = _words(group)
         cure = suggest(word, known) or f"; `{f'sean {group}'.strip()} --help` describes them."
         raise InputError(f"{group and f'{group}: '}'{word}' is not one of {', '.join(known)}{cure}")
     return name
@@ -200,15 +227,34 @@ def _read(model: type[Config], parsed: Mapping[str, Any]) -> Any:
     from sean_jax.evaluation.run_folder import read_config
 
     saved = read_config(source)
+    description = saved.description
+    for name, value in description.items():
+        if isinstance(value, str):
+            flags.check_text(f"{source}: {name}", value)
+    if saved.is_run and model is not config.RunConfig and issubclass(model, config.ScenarioConfig):
+        description = _scenario_of(description, model)
+        if not parsed.get("quiet"):
+            left = ", ".join(name for name in saved.description if name not in description)
+            print(f"note: {source} is of a run; its scenario is taken, without {left}.")
     needed = (*flags.positionals(model), *config.TRANSPORTS)  # which a file need not have
     words = {name: value for name, value in parsed.items() if name in needed}
     try:
-        config.validate(model, saved.description | words, source=source)
+        config.validate(model, description | words, source=source)
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
-    options = flags.read(model, parsed, saved.description, source, typed=True)
+    options = flags.read(model, parsed, description, source, typed=True)
     _refuse_open_port(options, parsed, source)
     return options
+
+
+def _scenario_of(description: Mapping[str, Any], model: type[Config]) -> dict[str, Any]:
+    """The scenario of a run's description, as far as it affects the results of another command."""
+    fields = {name: model.model_fields[name] for name in config.ScenarioConfig.model_fields}
+    return {
+        name: value
+        for name, value in description.items()
+        if name in fields and config.Option.of(fields[name]).affects_results
+    }
 
 
 def _refuse_open_port(options: config.Config, parsed: Mapping[str, Any], source: Path) -> None:

@@ -50,6 +50,7 @@ from sean_jax.config.components import (
     OwnPart,
     Value,
     aliases,
+    families,
     family_of,
     gather,
     is_own_part,

@@ -202,16 +202,25 @@ class Family:
         if isinstance(value, str | Path):
             value = {"kind": str(value)}
         if not isinstance(value, Mapping):
+            self._refuse_plain(value)
             name = getattr(value, "__name__", None) or getattr(value, "name", None) or type(value).__name__
             return Value(value=value, name=str(name))
         kind = value.get("kind")
         if kind == "value":
             raise ValueError("was a Python value, which no file holds; write it into a Python file: my.py:thing")
         if not isinstance(kind, str):
-            raise ValueError(f"{shorten(repr(dict(value)))} has no kind; there are {', '.join(self.kinds)}")
+            kinds = f"there are {', '.join(self.kinds)}" if self.kinds else "give one of `sean list`"
+            raise ValueError(f"{shorten(repr(dict(value)))} has no kind; {kinds}")
         if not is_own_part(kind) and self.variant(kind) is None:
             raise ValueError(f"'{kind}' is not one of {', '.join(self.kinds)}{suggest(kind, self.kinds)}")
         return dict(value)
+
+    def _refuse_plain(self, value: object) -> None:
+        """Refuse what a file may hold, but is no component; a list may be one, as the terms of a preset."""
+        if value is None:
+            raise ValueError("an empty value names nothing; leave the option out for its default")
+        if isinstance(value, bool | int | float) or (isinstance(value, list) and self.singular is None):
+            raise ValueError(f"{shorten(repr(value))} is no name; give one of `sean list`, or a mapping with a kind")
 
     def _read_several(self, value: object) -> object:
         """Several components: from names with commas between them, a list, or a mapping from names to values."""
@@ -412,7 +421,8 @@ def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], st
     last = str(error["loc"][-1]) if error["loc"] else ""
     known = list(owner.model_fields)
     beside = [name for family in families(owner).values() for name in family.options()]
-    text = error_clause(error, _choices(owner, last), known, did_you_mean(last, [*known, *beside]))
+    hint = _place(owner, last) or did_you_mean(last, [*known, *beside])
+    text = error_clause(error, _choices(owner, last), known, hint)
     if error["type"] == "value_error" and not path:  # of a whole class; the clause begins with the option
         option, _, text = text.partition(": ")
         option = named(option)
@@ -422,6 +432,15 @@ def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], st
     start = ".".join(filter(None, (option, key)))
     end = "" if text.endswith(("?", ".")) else "."
     return f"{start}: {text}{end}" if start else f"{text}{end}"
+
+
+def _place(owner: type[Config], option: str) -> str:
+    """The end of a message about an option of a component outside of it; "" for any other option."""
+    for name, family in families(owner).items():
+        if option in family.options():
+            kind = family.options()[option][0].model_fields["kind"].default
+            return f"; write it into {name}, as {name}: {{kind: {kind}, {option}: ...}}"
+    return ""
 
 
 def _subject(path: list[Any], owner: type[Config], kind: str, named: Callable[[str], str]) -> tuple[str, str]:

@@ -22,7 +22,8 @@ from sean_jax.config.components import Bounds, Component, Config, Described, Fam
 from sean_jax.config.option_types import HelpTopic, Option
 from sean_jax.config.scenario_options import usual
 from sean_jax.core.errors import InputError
-from sean_jax.core.messages import listed, parse_json
+from sean_jax.core.messages import listed
+from sean_jax.io import files
 
 LAST = ("seed", "out", "quiet")  # in the help
 
@@ -76,7 +77,12 @@ class Flag:
         return self.name, Annotated[kind, arg], dataclasses.field(**default)
 
 
-CONFIG = Flag("config", Path, "A YAML file of these options; flags override its values.")
+CONFIG = Flag(
+    "config",
+    Path,
+    "A YAML file of these options, or a run's config.yaml, of which other commands take the scenario; flags override "
+    "its values.",
+)
 TRUST = Flag(
     "trust",
     bool,
@@ -195,21 +201,25 @@ def parse(
         trust: accept --trust, to run code that files name.
 
     Raises:
-        InputError: a flag of several values is repeated, a flag has another name here, or a key is unknown.
+        InputError: an option is given twice, a flag has another name here, or a key is unknown.
         SystemExit: the words ask for help, or the parser refuses them.
     """
     known = flags_of(model, configurable, trust)
     _show_help(word, model, known, arguments)
     _check_once(model, arguments)
-    _check_known([option.name for option in known], arguments)
+    _check_known(known, arguments)
 
     values, unknown = _call_tyro(word, known, arguments)
-    has_keys = configurable and topics(model)
-    if not all(has_keys and "=" in argument and not argument.startswith("--") for argument in unknown):
-        _call_tyro(word, known, arguments, strict=True)
+    keys = [text for text in unknown if "=" in text and not text.startswith("--")]
+    keys = keys if configurable and topics(model) else []
+    if len(keys) < len(unknown):
+        _call_tyro(word, known, [text for text in arguments if text not in keys], strict=True)
     switched_off = {name for name, value in values.items() if isinstance(value, bool) and not value}
     typed = {name: value for name, value in values.items() if value is not None and name not in switched_off}
-    return typed | _assigned(word, model, known, unknown)
+    assigned = _assigned(word, model, known, keys)
+    for name in assigned.keys() & typed.keys():
+        raise InputError(f"{name}: {flag(name)} is given as well; leave one of the two out.")
+    return typed | assigned
 
 
 def _show_help(word: str, model: type[Config], known: Sequence[Flag], arguments: Sequence[str]) -> None:
@@ -233,7 +243,7 @@ def _call_tyro(
 
     values, unknown = tyro.cli(
         dataclasses.make_dataclass("Flags", [option.parser_field() for option in known], kw_only=True),
-        prog=f"sean {word}",
+        prog=f"sean {word.split()[0]}",  # the rest is positional
         description=about,
         args=words,
         return_unknown_args=not strict,
@@ -246,17 +256,24 @@ def _assigned(word: str, model: type[Config], known: Iterable[Flag], words: Iter
     """Field -> value of words such as time_limit=20, as a file would have it.
 
     Raises:
-        InputError: a key is unknown, or a value is empty.
+        InputError: a key is unknown or given twice, or a value is empty.
     """
     kinds = dict.fromkeys(model.model_fields) | {option.name: option.kind for option in known if not option.repeatable}
     values = {}
-    for key, _, text in (argument.partition("=") for argument in words):
+    for argument in words:
+        key, _, text = argument.partition("=")
+        if not key:
+            raise InputError(f"{argument} has no key; write key=value, such as people=8.")
         check_text(key, text)
         name = field_of(key)
         if name not in kinds:
-            cure = components.did_you_mean(name, kinds) or f"; `sean {word} --help` lists the options."
+            meant = name.rpartition(".")[2]  # routing of behavior.routing
+            cure = components.did_you_mean(meant, kinds) or f"; `sean {word} --help` lists the options."
             raise InputError(f"{key}: there is no such option{cure}")
-        values[name] = _file_value(kinds[name], text)
+        if name in values:
+            raise InputError(f"{key}: the key is given twice; leave one of the two out.")
+        is_structure = name in families(model) and text.startswith(("[", "{"))
+        values[name] = _file_value(None if is_structure else kinds[name], text)
     return values
 
 
@@ -268,7 +285,7 @@ def _file_value(kind: Any, text: str) -> Any:
         item = typing.get_args(kind)[0]
         return [_file_value(item, word) for word in text.strip("[]").split(None if item is str else ",")]
     try:
-        return parse_json(text)
+        return files.parse_yaml(text)
     except ValueError:
         return text
 
@@ -282,6 +299,8 @@ def check_text(name: str, text: str) -> None:
 def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
     """Refuse a flag of several values that is repeated, of which the parser would drop the first."""
     names = [word.split("=")[0] for word in arguments if word.startswith("--")]
+    if names.count(flag(CONFIG.name)) > 1:
+        raise InputError(f"{flag(CONFIG.name)} is repeated; give one file, and other values as flags.")
     for name, field in model.model_fields.items():
         family = family_of(field)
         several = family.singular is not None if family else Ellipsis in typing.get_args(_plain(field.annotation))
@@ -289,14 +308,20 @@ def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
             raise InputError(f"{flag(name)} is repeated; give it once, with all of its values.")
 
 
-def _check_known(known: Sequence[str], arguments: Sequence[str]) -> None:
-    """Refuse a flag by its name in another project; the parser refuses other unknown flags."""
-    aliases = {alias for option in known for alias in components.aliases().get(option, ())}
+def _check_known(known: Sequence[Flag], arguments: Sequence[str]) -> None:
+    """Refuse a flag by its name in another project, and a switch with a value; the parser refuses other words."""
+    names = [option.name for option in known]
+    switches = {option.name for option in known if option.kind is bool}
+    aliases = {alias for name in names for alias in components.aliases().get(name, ())}
     for word in arguments:
+        if not word.startswith("--"):
+            continue
         name = field_of(word)
-        if word.startswith("--") and name in aliases.difference(known):
-            cure = components.did_you_mean(name, known, flag)
+        if name in aliases.difference(names):
+            cure = components.did_you_mean(name, names, flag)
             raise InputError(f"{word.split('=')[0]}: there is no such option{cure}")
+        if name in switches and "=" in word:
+            raise InputError(f"{word}: a switch has no value; write {flag(name)} alone, or leave it out.")
 
 
 def read(
@@ -347,6 +372,8 @@ def positionals(model: type[Config]) -> list[str]:
 
 def _own(value: Any, family: Family) -> Any:
     """Components of flags; parts in the user's own files are marked as named by the user."""
+    if isinstance(value, Mapping):  # with options, of a key
+        return value
     if not (family.several or family.singular):
         return OwnPart(kind=value) if components.is_own_part(value) else value
     words = listed(value) if isinstance(value, str) else value

@@ -1,6 +1,7 @@
 """Types of options: numbers with limits and units, texts, and options that several commands share."""
 
 import math
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -83,16 +84,23 @@ class Number:
         if self.or_infinity and isinstance(value, str | Real) and value in (math.inf, INFINITE):
             return math.inf
         if isinstance(value, bool) or not isinstance(value, Integral if kind is int else Real):
-            raise ValueError(f"{shorten(repr(value))} is not a {'whole ' if kind is int else ''}number")
+            given = "an empty value" if value is None else shorten(repr(value))
+            raise ValueError(f"{given} is not a {'whole ' if kind is int else ''}number")
         number = kind(value)  # pyright: ignore[reportArgumentType]
         if not self.low <= number <= self.high:
-            limits = f"{self.low:,g} to {self.high:,g}{self.unit and ' ' + self.unit}"
+            least, most = (f"{limit:,}" if kind is int else f"{limit:,g}" for limit in (self.low, self.high))
+            limits = f"{least} to {most}{self.unit and ' ' + self.unit}"
             raise ValueError(f"{number} must be from {limits}{', or inf' if self.or_infinity else ''}")
         return number
 
 
 def _path_as_text(value: object) -> object:
     return str(value) if isinstance(value, Path) else value
+
+
+def _at_home(path: Path | None) -> Path | None:
+    """A path with the user's folder in place of ~, which a shell leaves as it is in --out=~/mine."""
+    return None if path is None else Path(os.path.expanduser(path))
 
 
 def join_names(value: object) -> object:
@@ -181,7 +189,7 @@ Names = Annotated[Text, AfterValidator(_check_names)]  # separated by commas
 
 # ------------------------------------------------------------------ options of several commands
 
-Out = Annotated[Path | None, Option(affects_results=False)]
+Out = Annotated[Path | None, AfterValidator(_at_home), Option(affects_results=False)]
 Quiet = Annotated[bool, Option(affects_results=False), Field(description="Print only errors.")]
 EnvironmentName = Annotated[Text, Field(description="Physical environment: a name, or the folder of your own.")]
 PeopleOrDefault = Annotated[

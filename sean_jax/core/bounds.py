@@ -29,7 +29,9 @@ Degrees = Annotated[float, pydantic.Field(ge=-3600, le=3600)]
 
 def parse_digits(text: str) -> int | None:
     """The number of a text of at most 18 decimal digits; None for any other text. (``int`` refuses 4,301 digits.)"""
-    return int(text) if text.isdecimal() and len(text) <= 18 else None
+    if text.isdecimal() and len(text) <= 18:
+        return int(text)
+    return None
 
 
 def check_number(name: str, value: Any, minimum: float, maximum: float, unit: str = "") -> Any:

@@ -25,36 +25,43 @@ MAX_ROWS = 5_000_000
 def length(x: Array, y: Array) -> Array:
     """Euclidean length of (x, y); zero, with zero gradient, below 1e-12."""
     zero, square = _square(x, y)
-    return jnp.where(zero, 0.0, jnp.sqrt(square))
+    root = jnp.sqrt(square)
+    return jnp.where(zero, 0.0, root)
 
 
 def unit(x: Array, y: Array) -> tuple[Array, Array]:
     """(x, y) divided by its length; (0, 0), with zero gradient, where the length is below 1e-12."""
     zero, square = _square(x, y)
-    scale = jnp.where(zero, 0.0, 1.0 / jnp.sqrt(square))
-    return x * scale, y * scale
+    inverse = 1.0 / jnp.sqrt(square)
+    scale = jnp.where(zero, 0.0, inverse)
+    unit_x = x * scale
+    unit_y = y * scale
+    return unit_x, unit_y
 
 
 def _square(x: Array, y: Array) -> tuple[Array, Array]:
     """Whether the square of a length counts as zero, and the square, or 1 where it does: the root has a gradient."""
     square = x * x + y * y
     zero = square < TINY
-    return zero, jnp.where(zero, 1.0, square)
+    square = jnp.where(zero, 1.0, square)
+    return zero, square
 
 
 def rotate(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:
     """(x, y) turned counter-clockwise by an angle of that cosine and sine."""
-    return cosine * x - sine * y, sine * x + cosine * y
+    turned_x = cosine * x - sine * y
+    turned_y = sine * x + cosine * y
+    return turned_x, turned_y
 
 
 def ground_velocity(robot: Robot) -> Float[Array, "... 2"]:
     """Velocity [m/s] of a robot over the ground; of a differential drive it is along the heading."""
-    forward = robot.speed[..., None] * robot.heading
+    heading = robot.heading
+    forward = robot.speed[..., None] * heading
     if robot.sideways is None:
         return forward
-    sideways = robot.sideways[..., None]
-    left = jnp.stack([-robot.heading[..., 1], robot.heading[..., 0]], -1)
-    return forward + sideways * left
+    left = jnp.stack([-heading[..., 1], heading[..., 0]], -1)
+    return forward + robot.sideways[..., None] * left
 
 
 def sum_vectors(x: Array, y: Array, axis: int) -> tuple[Array, Array]:
@@ -63,7 +70,8 @@ def sum_vectors(x: Array, y: Array, axis: int) -> tuple[Array, Array]:
     XLA fuses this one reduction with the computation of x and y. Two reductions would write x and y to memory first,
     which makes a pairwise law 1.7 times slower on a GPU.
     """
-    total = jax.lax.complex(x, y).sum(axis)
+    vectors = jax.lax.complex(x, y)
+    total = vectors.sum(axis)
     return total.real, total.imag
 
 
@@ -82,16 +90,27 @@ def unit_vectors(vectors: Float[Array, "*batch 2"], default: Float[Array, "*defa
     x = vectors[..., 0]
     y = vectors[..., 1]
     scaled = unit(x, y)
-    zero = x * x + y * y < TINY
-    return jnp.where(zero[..., None], default, jnp.stack(scaled, -1))
+    scaled = jnp.stack(scaled, -1)
+    square = x * x + y * y
+    zero = square < TINY
+    return jnp.where(zero[..., None], default, scaled)
 
 
 def angle_between(heading: Float[Array, "*batch 2"], target: Float[Array, "*other 2"]) -> Float[Array, "..."]:
     """Signed angle from one direction to another, counter-clockwise, in (-pi, pi]; 0 where one of the two is zero."""
-    cross = heading[..., 0] * target[..., 1] - heading[..., 1] * target[..., 0]
-    dot = heading[..., 0] * target[..., 0] + heading[..., 1] * target[..., 1]
-    zero = cross * cross + dot * dot < TINY
-    return jnp.arctan2(jnp.where(zero, 0.0, cross), jnp.where(zero, 1.0, dot))
+    heading_x = heading[..., 0]
+    heading_y = heading[..., 1]
+    target_x = target[..., 0]
+    target_y = target[..., 1]
+    cross = heading_x * target_y - heading_y * target_x
+    dot = heading_x * target_x + heading_y * target_y
+
+    # The angle of a zero vector has a gradient, too.
+    square = cross * cross + dot * dot
+    zero = square < TINY
+    cross = jnp.where(zero, 0.0, cross)
+    dot = jnp.where(zero, 1.0, dot)
+    return jnp.arctan2(cross, dot)
 
 
 def from_box(x: Array, y: Array, box: Obstacles) -> tuple[Array, Array, Array]:
@@ -104,7 +123,9 @@ def from_box(x: Array, y: Array, box: Obstacles) -> tuple[Array, Array, Array]:
     cy = box.center[..., 1]
     hx = box.half_extent[..., 0]
     hy = box.half_extent[..., 1]
-    return from_rectangle(x, y, cx, cy, hx, hy, jnp.cos(box.yaw), jnp.sin(box.yaw))
+    cosine = jnp.cos(box.yaw)
+    sine = jnp.sin(box.yaw)
+    return from_rectangle(x, y, cx, cy, hx, hy, cosine, sine)
 
 
 def from_rectangle(
@@ -112,7 +133,9 @@ def from_rectangle(
 ) -> tuple[Array, Array, Array]:
     """``from_box`` of a box in components: its centre cx, cy, half extent hx, hy [m], cosine and sine of its yaw."""
     # The box's own axes u and v, in which it is |u| <= hx, |v| <= hy.
-    u, v = rotate(x - cx, y - cy, cosine, -sine)
+    dx = x - cx
+    dy = y - cy
+    u, v = rotate(dx, dy, cosine, -sine)
     side_u = jnp.where(u < 0, -1.0, 1.0)
     side_v = jnp.where(v < 0, -1.0, 1.0)
     beyond_u = jnp.abs(u) - hx
@@ -127,10 +150,16 @@ def from_rectangle(
 
     # Inside, the normal points out of the nearest side.
     by_u = beyond_u > beyond_v
-    normal_u = jnp.where(outside, out_u * inverse, jnp.where(by_u, 1.0, 0.0)) * side_u
-    normal_v = jnp.where(outside, out_v * inverse, jnp.where(by_u, 0.0, 1.0)) * side_v
-    distance = jnp.where(outside, square * inverse, jnp.maximum(beyond_u, beyond_v))
-    return distance, *rotate(normal_u, normal_v, cosine, sine)
+    inside_u = jnp.where(by_u, 1.0, 0.0)
+    inside_v = jnp.where(by_u, 0.0, 1.0)
+    normal_u = jnp.where(outside, out_u * inverse, inside_u) * side_u
+    normal_v = jnp.where(outside, out_v * inverse, inside_v) * side_v
+    normal_x, normal_y = rotate(normal_u, normal_v, cosine, sine)
+
+    outside_distance = square * inverse
+    depth = jnp.maximum(beyond_u, beyond_v)
+    distance = jnp.where(outside, outside_distance, depth)
+    return distance, normal_x, normal_y
 
 
 def signed_distances(
@@ -141,11 +170,13 @@ def signed_distances(
     y = points[:, 1]
     to_all_boxes = jax.vmap(_distance_to_box, in_axes=(None, None, 0))
     distances = jax.vmap(to_all_boxes, in_axes=(0, 0, None))(x, y, environment.obstacles)  # (P, W) m
-    return jnp.min(distances, axis=1, initial=jnp.inf), to_edge(environment, x, y)
+    to_obstacle = jnp.min(distances, axis=1, initial=jnp.inf)
+    return to_obstacle, to_edge(environment, x, y)
 
 
 def _distance_to_box(x: Array, y: Array, box: Obstacles) -> Array:
-    return from_box(x, y, box)[0]
+    distance, _, _ = from_box(x, y, box)
+    return distance
 
 
 def signed_distances_on_host(
@@ -154,9 +185,14 @@ def signed_distances_on_host(
     """``signed_distances`` by numpy in double precision: nothing is compiled for a call that happens once."""
     points = np.asarray(points, float)
     floor = np.asarray(environment.floor, float)
-    batches = np.array_split(points, max(1, len(points) // HOST_BATCH))  # few points at once, as W may be large
-    to_boxes = [_distances_to_boxes(environment.obstacles, batch).min(1, initial=np.inf) for batch in batches]
-    to_edges = np.minimum(points - floor[:2], floor[2:] - points)  # (P, 2) m, in x and in y
+    # Few points at once, as W may be large.
+    to_boxes = []
+    for batch in np.array_split(points, max(1, len(points) // HOST_BATCH)):
+        distances = _distances_to_boxes(environment.obstacles, batch)
+        to_boxes.append(distances.min(1, initial=np.inf))
+    lower = floor[:2]
+    upper = floor[2:]
+    to_edges = np.minimum(points - lower, upper - points)  # (P, 2) m, in x and in y
     return np.concatenate(to_boxes), to_edges.min(1)
 
 
@@ -171,11 +207,16 @@ def _distances_to_boxes(boxes: Obstacles, points: np.ndarray) -> np.ndarray:
     # How far a point is beyond the sides, along the box's own axes u and v.
     x = points[:, None, 0] - center[:, 0]  # (P, W)
     y = points[:, None, 1] - center[:, 1]
-    beyond_u = np.abs(cosine * x + sine * y) - half[:, 0]
-    beyond_v = np.abs(cosine * y - sine * x) - half[:, 1]
+    u = cosine * x + sine * y
+    v = cosine * y - sine * x
+    beyond_u = np.abs(u) - half[:, 0]
+    beyond_v = np.abs(v) - half[:, 1]
 
-    outside = np.hypot(np.maximum(beyond_u, 0.0), np.maximum(beyond_v, 0.0))
-    inside = np.minimum(np.maximum(beyond_u, beyond_v), 0.0)
+    out_u = np.maximum(beyond_u, 0.0)
+    out_v = np.maximum(beyond_v, 0.0)
+    outside = np.hypot(out_u, out_v)
+    depth = np.maximum(beyond_u, beyond_v)
+    inside = np.minimum(depth, 0.0)
     return outside + inside
 
 
@@ -204,8 +245,10 @@ def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radi
     sine = jnp.sin(box.yaw)
     hu = box.half_extent[..., 0]
     hv = box.half_extent[..., 1]
-    pu, pv = rotate(px - box.center[..., 0], py - box.center[..., 1], cosine, -sine)
-    qu, qv = rotate(qx - box.center[..., 0], qy - box.center[..., 1], cosine, -sine)
+    cx = box.center[..., 0]
+    cy = box.center[..., 1]
+    pu, pv = rotate(px - cx, py - cy, cosine, -sine)
+    qu, qv = rotate(qx - cx, qy - cy, cosine, -sine)
 
     # Across the segment: its line passes all corners at the radius or more.
     du = qu - pu
@@ -213,12 +256,14 @@ def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radi
     square = du * du + dv * dv
     to_center = jnp.abs(qu * dv - qv * du)  # times the length, as are the others
     beyond = to_center - hu * jnp.abs(dv) - hv * jnp.abs(du)
-    beside = (square > 0.0) & (beyond >= radius * jnp.sqrt(square))
+    limit = radius * jnp.sqrt(square)
+    moves = square > 0.0
+    beside = moves & (beyond >= limit)
 
     # From the box to each end.
-    apart = beside | _separated(pu, pv, qu, qv, hu, hv, radius)
-    apart = apart | _separated(qu, qv, pu, pv, hu, hv, radius)
-    return ~apart
+    beyond_p = _separated(pu, pv, qu, qv, hu, hv, radius)
+    beyond_q = _separated(qu, qv, pu, pv, hu, hv, radius)
+    return ~(beside | beyond_p | beyond_q)
 
 
 def _separated(pu, pv, qu, qv, hu, hv, radius) -> Array:
@@ -229,9 +274,13 @@ def _separated(pu, pv, qu, qv, hu, hv, radius) -> Array:
     dv = pv - nearest_v
     square = du * du + dv * dv
     limit = radius * jnp.sqrt(square)
-    p_is_apart = (square > 0.0) & (square >= limit)
-    along = (qu - nearest_u) * du + (qv - nearest_v) * dv  # times the distance of p
-    return p_is_apart & (along >= limit)
+    is_outside = square > 0.0
+    p_is_apart = is_outside & (square >= limit)
+    q_du = qu - nearest_u
+    q_dv = qv - nearest_v
+    along = q_du * du + q_dv * dv  # times the distance of p
+    q_is_apart = along >= limit
+    return p_is_apart & q_is_apart
 
 
 # ------------------------------------------------------------------ obstacles by cell
@@ -247,13 +296,17 @@ def build_obstacle_grid(obstacles: Obstacles, floor: Float[Array, "4"], cell: fl
     Raises:
         InputError: too many obstacles lie near one place to fit in memory.
     """
-    lower = np.asarray(floor, float)[:2]
-    size = np.asarray(floor, float)[2:] - lower
-    cell = max(cell, float(np.sqrt(np.prod(size) / MAX_CELLS)))
+    bounds = np.asarray(floor, float)
+    lower = bounds[:2]
+    size = bounds[2:] - lower
+    min_cell = np.sqrt(np.prod(size) / MAX_CELLS)
+    cell = max(cell, float(min_cell))
     shape = np.maximum(1, np.ceil(size / cell).astype(int))
     near = _obstacles_near_cells(obstacles, lower, cell, shape)
-    rows_max = max(1, int(near.sum(-1).max(initial=0)))
-    if shape[0] * shape[1] * rows_max > MAX_ROWS:
+    counts = near.sum(-1)
+    rows_max = max(1, int(counts.max(initial=0)))
+    n_rows = shape[0] * shape[1] * rows_max
+    if n_rows > MAX_ROWS:
         raise InputError(f"up to {rows_max} obstacles are within {REACH:g} m of one place; use fewer and larger boxes.")
 
     # Cells with fewer obstacles than others have boxes far away.
@@ -262,7 +315,9 @@ def build_obstacle_grid(obstacles: Obstacles, floor: Float[Array, "4"], cell: fl
     rows[..., 1] = FAR
     rows[..., 4] = 1.0  # cosine of the yaw
     yaw = np.asarray(obstacles.yaw, float)[:, None]
-    table = np.concatenate([obstacles.center, obstacles.half_extent, np.cos(yaw), np.sin(yaw)], 1)  # (W, 6)
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
+    table = np.concatenate([obstacles.center, obstacles.half_extent, cosine, sine], 1)  # (W, 6)
     for i, j in np.argwhere(near.any(-1)):
         index = np.flatnonzero(near[i, j])
         rows[i, j, : len(index)] = table[index]
@@ -271,12 +326,17 @@ def build_obstacle_grid(obstacles: Obstacles, floor: Float[Array, "4"], cell: fl
 
 def _obstacles_near_cells(obstacles: Obstacles, lower: np.ndarray, cell: float, shape: np.ndarray) -> np.ndarray:
     """(X, Y, W) bool, whether an obstacle may be within ``REACH`` of a point of a cell."""
-    x = lower[0] + (np.arange(shape[0]) + 0.5) * cell  # of the middles of the cells
-    y = lower[1] + (np.arange(shape[1]) + 0.5) * cell
-    near = np.zeros((*shape, len(np.asarray(obstacles.yaw))), bool)
-    for i in range(shape[0]):  # by column: large floors would need too much memory at once
-        column = np.stack([np.full_like(y, x[i]), y], -1)  # (Y, 2)
-        near[i] = _distances_to_boxes(obstacles, column) <= REACH + cell / np.sqrt(2)
+    columns, rows = shape
+    x = lower[0] + (np.arange(columns) + 0.5) * cell  # of the middles of the cells
+    y = lower[1] + (np.arange(rows) + 0.5) * cell
+    count = len(np.asarray(obstacles.yaw))
+    near = np.zeros((*shape, count), bool)
+    reach = REACH + cell / np.sqrt(2)
+    for i in range(columns):  # by column: large floors would need too much memory at once
+        column_x = np.full_like(y, x[i])
+        column = np.stack([column_x, y], -1)  # (Y, 2) m
+        distances = _distances_to_boxes(obstacles, column)  # (Y, W) m
+        near[i] = distances <= reach
     return near
 
 
@@ -285,11 +345,16 @@ def obstacle_cells(
 ) -> tuple[Int[Array, "*places"], Int[Array, "*places"]]:
     """The grid's cell of each place x, y [m], or the nearest cell for places off the grid."""
     columns, rows = grid.rows.shape[:2]
-    i = jnp.floor((x - grid.origin[0]) / grid.cell).astype(jnp.int32)
-    i = jnp.clip(i, 0, columns - 1)
-    j = jnp.floor((y - grid.origin[1]) / grid.cell).astype(jnp.int32)
-    j = jnp.clip(j, 0, rows - 1)
+    i = _cell_index(x - grid.origin[0], grid.cell, columns)
+    j = _cell_index(y - grid.origin[1], grid.cell, rows)
     return i, j
+
+
+def _cell_index(offset: Array, cell: Array, count: int) -> Array:
+    """The index of the cell at an offset [m] from the first of ``count`` cells in a row, or of the nearest one."""
+    index = jnp.floor(offset / cell)
+    index = index.astype(jnp.int32)
+    return jnp.clip(index, 0, count - 1)
 
 
 def nearby_obstacles(

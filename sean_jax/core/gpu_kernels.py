@@ -91,7 +91,8 @@ def _even(operands: Sequence[Array]) -> list[Array]:
 def _split(call: Call, outputs: int, operands: Sequence[Array]) -> Call:
     """The call for devices that share the scenarios. XLA, which cannot look into it, would run all on each device."""
     split_call = custom_partitioning(lambda *operands: call(*operands))  # it refuses a partial
-    shared = [operand.shape[0] == 1 for operand in operands]  # one row for all scenarios
+    counts = [operand.shape[0] for operand in operands]
+    shared = [count == 1 for count in counts]  # one row for all scenarios
 
     def partition(mesh: Mesh, arguments: Sequence, results: Sequence) -> tuple:
         split = results[0].sharding
@@ -100,15 +101,15 @@ def _split(call: Call, outputs: int, operands: Sequence[Array]) -> Call:
         return mesh, call, tuple(split for _ in results), shardings
 
     # The rule names the axes of each operand; those that devices need as a whole are listed.
-    scenarios = max(operand.shape[0] for operand in operands)
+    scenarios = max(counts)
     axes = []
     whole = []
-    for i, (is_shared, operand) in enumerate(zip(shared, operands, strict=True)):
-        if is_shared:
+    for i, count in enumerate(counts):
+        if count == 1:
             rows = f"one{i}"
             whole.append(rows)
         else:
-            rows = "scenarios" if operand.shape[0] == scenarios else f"part{i}"
+            rows = "scenarios" if count == scenarios else f"part{i}"
         axes.append(f"{rows} column{i}")
         whole.append(f"column{i}")
     results = ", ".join(["scenarios result"] * outputs)

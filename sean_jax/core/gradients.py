@@ -25,12 +25,17 @@ MOVING = ("position", "velocity", "heading", "desired_velocity")  # of people
 
 def truncate(state: State, every: int) -> State:
     """Ends the derivative at each ``every``-th step: truncated backpropagation through blocks of steps."""
-    return damp(state, jnp.where(state.tick % every == 0, 0.0, 1.0))
+    ends = state.tick % every == 0
+    return damp(state, jnp.where(ends, 0.0, 1.0))
 
 
 def damp(state: State, factor: Float[Array, ""] | float) -> State:
     """Multiplies the derivative by a factor from 0 to 1: n steps back it is ``factor ** n``; 0 ends it here."""
-    moving = jax.tree.map(lambda leaf: _scaled(leaf, jnp.asarray(factor, leaf.dtype)), _moving(state))
+
+    def scale(leaf: Array) -> Array:
+        return _scaled(leaf, jnp.asarray(factor, leaf.dtype))
+
+    moving = jax.tree.map(scale, _moving(state))
     return _with_moving(state, moving)
 
 
@@ -41,7 +46,8 @@ def clip(state: State, limit: Float[Array, ""] | float) -> State:
         limit: maximum length of the cotangent of all moving parts of a body, in units of the loss per metre.
     """
     moving = _moving(state)
-    return _with_moving(state, linear_call(_same, _clipped, jnp.asarray(limit, float), moving, moving))
+    limit = jnp.asarray(limit, float)
+    return _with_moving(state, linear_call(_same, _clipped, limit, moving, moving))
 
 
 def _moving(state: State) -> tuple[list[Array], list[Array]]:
@@ -58,7 +64,8 @@ def _with_moving(state: State, moving: tuple[list[Array], list[Array]]) -> State
     floats = iter(robot)
     leaves, structure = jax.tree.flatten(state.robot)
     leaves = [next(floats) if _is_float(leaf) else leaf for leaf in leaves]
-    return replace(state, pedestrians=replace(state.pedestrians, **fields), robot=structure.unflatten(leaves))
+    pedestrians = replace(state.pedestrians, **fields)
+    return replace(state, pedestrians=pedestrians, robot=structure.unflatten(leaves))
 
 
 def _is_float(leaf: Array) -> bool:
@@ -73,7 +80,8 @@ def _scaled(leaf: Array, factor: Array) -> Array:
 @_scaled.defjvp
 def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     leaf, factor = primals
-    return leaf, jnp.where(factor == 0.0, 0.0, factor * tangents[0])  # infinity ends too
+    change, _ = tangents
+    return leaf, jnp.where(factor == 0.0, 0.0, factor * change)  # infinity ends too
 
 
 def _same(limit: Array, moving: PyTree) -> PyTree:
@@ -83,19 +91,22 @@ def _same(limit: Array, moving: PyTree) -> PyTree:
 def _clipped(limit: Array, cotangents: tuple[list[Array], list[Array]]) -> tuple[list[Array], list[Array]]:
     """The cotangents of people and of the robot, each body's shortened to the limit."""
     people, robot = cotangents
-    by_leaf = [jnp.square(leaf).reshape(leaf.shape[0], -1).sum(1) for leaf in people]  # (N,) each
-    scale = _shorter(jnp.stack(by_leaf).sum(0), limit)
-    shortened = [leaf * scale.reshape(-1, *[1] * (leaf.ndim - 1)) for leaf in people]
+    squares = [jnp.square(leaf).reshape(leaf.shape[0], -1).sum(1) for leaf in people]  # (N,) each
+    scale = _shorter(squares, limit)
+    people = [leaf * scale.reshape(-1, *[1] * (leaf.ndim - 1)) for leaf in people]
 
-    by_leaf = [jnp.square(leaf).sum() for leaf in robot]
-    scale = _shorter(jnp.stack(by_leaf).sum(0), limit)
-    return shortened, [leaf * scale for leaf in robot]
+    squares = [jnp.square(leaf).sum() for leaf in robot]
+    scale = _shorter(squares, limit)
+    robot = [leaf * scale for leaf in robot]
+    return people, robot
 
 
-def _shorter(square: Array, limit: Array) -> Array:
-    """The factor that shortens vectors with these squared lengths to the limit; 0 for infinite ones."""
+def _shorter(squares: list[Array], limit: Array) -> Array:
+    """The factor that shortens vectors, whose squared lengths have these parts, to the limit; 0 for infinite ones."""
+    square = jnp.stack(squares).sum(0)
     over = square > limit * limit
-    return jnp.where(over, limit * jax.lax.rsqrt(jnp.where(over, square, 1.0)), 1.0)
+    inverse = jax.lax.rsqrt(jnp.where(over, square, 1.0))
+    return jnp.where(over, limit * inverse, 1.0)
 
 
 # --- a linear function with its own transpose ---
@@ -124,9 +135,11 @@ def linear_call(function: Callable, transpose: Callable, constant: PyTree, argum
 
     def direction(linear: Callable, tree: PyTree, out: list) -> Direction:
         def flat(constants: list, values: list) -> list:
-            return jax.tree.leaves(linear(constant_tree.unflatten(constants), tree.unflatten(values)))
+            results = linear(constant_tree.unflatten(constants), tree.unflatten(values))
+            return jax.tree.leaves(results)
 
-        return Direction(flat, tuple(ShapedArray(value.shape, value.dtype) for value in out))
+        shapes = tuple(ShapedArray(value.shape, value.dtype) for value in out)
+        return Direction(flat, shapes)
 
     forward = direction(function, argument_tree, results)
     backward = direction(transpose, result_tree, arguments)
@@ -135,18 +148,19 @@ def linear_call(function: Callable, transpose: Callable, constant: PyTree, argum
 
 
 def _compute(*values: PyTree, forward: Direction, backward: Direction, number: int) -> list:
-    return forward.function(list(values[:number]), list(values[number:]))
+    constants = list(values[:number])
+    arguments = list(values[number:])
+    return forward.function(constants, arguments)
 
 
 def _jvp(values: tuple, tangents: tuple, *, forward: Direction, backward: Direction, number: int) -> tuple:
     constants = values[:number]
     arguments = values[number:]
-    tangents_of_constants = tangents[:number]
     changes = [ad.instantiate_zeros(tangent) for tangent in tangents]
     directions = {"forward": forward, "backward": backward, "number": number}
     results = _linear.bind(*values, **directions)
     change = _linear.bind(*constants, *changes[number:], **directions)
-    if all(isinstance(tangent, ad.Zero) for tangent in tangents_of_constants):
+    if all(isinstance(tangent, ad.Zero) for tangent in tangents[:number]):
         return results, change
 
     # In the derivative of a derivative the constants change, too, and the function need not be linear in them.
@@ -160,12 +174,13 @@ def _jvp(values: tuple, tangents: tuple, *, forward: Direction, backward: Direct
 def _transpose(cotangents: list, *values: PyTree, forward: Direction, backward: Direction, number: int) -> list:
     outputs = [ad.instantiate_zeros(cotangent) for cotangent in cotangents]
     constants = values[:number]
-    return [None] * number + _linear.bind(*constants, *outputs, forward=backward, backward=forward, number=number)
+    changes = _linear.bind(*constants, *outputs, forward=backward, backward=forward, number=number)
+    return [None] * number + changes
 
 
 def _batch(values: tuple, axes: tuple, *, forward: Direction, backward: Direction, number: int) -> tuple:
-    sizes = (value.shape[axis] for value, axis in zip(values, axes, strict=True) if axis is not None)
-    size = next(sizes)
+    sizes = [value.shape[axis] for value, axis in zip(values, axes, strict=True) if axis is not None]
+    size = sizes[0]
     constants = values[:number]
     axes_of_constants = list(axes[:number])
     pairs = zip(values[number:], axes[number:], strict=True)
@@ -175,7 +190,8 @@ def _batch(values: tuple, axes: tuple, *, forward: Direction, backward: Directio
         results = tuple(ShapedArray((size, *result.shape), result.dtype) for result in direction.results)
         return Direction(jax.vmap(direction.function, (axes_of_constants, 0)), results)
 
-    outputs = _linear.bind(*constants, *arguments, forward=batched(forward), backward=batched(backward), number=number)
+    directions = {"forward": batched(forward), "backward": batched(backward), "number": number}
+    outputs = _linear.bind(*constants, *arguments, **directions)
     return outputs, [0] * len(forward.results)
 
 

@@ -141,19 +141,21 @@ def error_clause(
     """
     kind = error["type"]
     context = error.get("ctx", {})
-    value = "an empty value" if error["input"] is None else shorten(repr(error["input"]))
+    place = error["loc"]
+    entry = error["input"]
+    value = "an empty value" if entry is None else shorten(repr(entry))
     if kind == "missing":
-        return "one value more is needed" if isinstance(error["loc"][-1], int) else "is missing; add it"
+        return "one value more is needed" if isinstance(place[-1], int) else "is missing; add it"
     if kind == "extra_forbidden":
-        key = str(error["loc"][-1])
+        key = str(place[-1])
         keys = list(keys)
         cure = hint or suggest(key, keys) or f"; there are {', '.join(keys)}"
         return f"{shorten(repr(key))} is not a known key{cure}"
     if kind == "literal_error":
         names = [str(choice) for choice in choices]
-        return f"{value} is not one of {', '.join(names)}{suggest(str(error['input']), names)}"
+        return f"{value} is not one of {', '.join(names)}{suggest(str(entry), names)}"
     if kind == "value_error":
         return str(context.get("error", error["msg"]))
     if kind == "invalid_key":
-        return f"the key {shorten(repr(error['loc'][-1]))} is not text; put it in quotes"
+        return f"the key {shorten(repr(place[-1]))} is not text; put it in quotes"
     return f"{value} {_TEXTS[kind].format(**context)}" if kind in _TEXTS else f"{value}: {error['msg']}"

@@ -130,7 +130,9 @@ def pad(tree: Any, sizes: Sizes) -> Any:
 def _pad(tree: Any, sizes: Sizes, memo: dict[tuple, np.ndarray]) -> Any:
     if isinstance(tree, tuple | list):
         values = [_pad(value, sizes, memo) for value in tree]
-        return type(tree)(*values) if hasattr(tree, "_fields") else type(tree)(values)
+        if hasattr(tree, "_fields"):
+            return type(tree)(*values)
+        return type(tree)(values)
     if isinstance(tree, dict):
         return {key: _pad(value, sizes, memo) for key, value in tree.items()}
     if not dataclasses.is_dataclass(tree) or isinstance(tree, type | FlatTable):

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
 
-COLUMNS, PANEL = 5, 3.2  # of a sheet, and inches of a panel's width
+COLUMNS = 5  # of a sheet
+PANEL = 3.2  # inches, width of a panel
 TRAIL = 40.0  # s, length of people's trails
 PANEL_MARGIN = 2.0  # m, shown around the points of a set
 MIN_PANEL = 11.0  # m, shown from side to side at least
@@ -120,11 +121,17 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
     """
     frames = layers.first_episode(trajectory)
     if scenario is None:
-        environment, graph, names, time_step = empty_floor(frames), None, None, 0.1
+        environment = empty_floor(frames)
+        graph = None
+        names = None
+        time_step = 0.1
+        radius = layers.ROBOT_RADIUS
     else:
-        environment, graph, time_step = scenario.environment, graph_of(scenario), scenario.time_step
+        environment = scenario.environment
+        graph = graph_of(scenario)
+        time_step = scenario.time_step
         names = tuple(name for name, _ in scenario.situations)
-    radius = layers.ROBOT_RADIUS if scenario is None else robots.radii(scenario)
+        radius = robots.radii(scenario)
     options: dict[str, Any] = dict(graph=graph, situations=names, time_step=time_step, robot_radius=radius)
     if not animate:
         return top_down(environment, frames=frames, **options)
@@ -138,9 +145,13 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
 def empty_floor(frames: Trajectory) -> Environment:
     """A floor without obstacles that contains all positions of the frames, with 2 m around them."""
     people = np.asarray(frames.people).reshape(-1, 2)
-    positions = np.concatenate([people, np.asarray(frames.position).reshape(-1, 2)])
-    floor = jnp.asarray(np.concatenate([positions.min(0) - 2.0, positions.max(0) + 2.0]), float)
-    no_numbers, no_vectors = jnp.zeros(0, float), jnp.zeros((0, 2), float)
+    robot = np.asarray(frames.position).reshape(-1, 2)
+    positions = np.concatenate([people, robot])
+    lower = positions.min(0) - 2.0
+    upper = positions.max(0) + 2.0
+    floor = jnp.asarray(np.concatenate([lower, upper]), float)
+    no_numbers = jnp.zeros(0, float)
+    no_vectors = jnp.zeros((0, 2), float)
     obstacles = Obstacles(center=no_vectors, half_extent=no_vectors, yaw=no_numbers, height=no_numbers)
     return Environment(
         floor=floor,
@@ -174,9 +185,11 @@ def handcrafted_sheet(scenario: Scenario) -> Figure:
         scenario: with behavior and task ``handcrafted``.
     """
     sets: Sets = scenario.behavior.data
-    starts = jax.tree.map(np.asarray, jax.jit(_starts)(scenario, random_streams.key("draw", 0)))
+    starts = jax.jit(_starts)(scenario, random_streams.key("draw", 0))
+    starts = jax.tree.map(np.asarray, starts)
     table = jax.tree.map(np.asarray, replace(sets, ways=None))
-    windows = _set_windows(np.asarray(scenario.environment.floor, float), starts, table)
+    floor = np.asarray(scenario.environment.floor, float)
+    windows = _set_windows(floor, starts, table)
 
     # One panel for each set and one for the meaning of marks, as tall as the tallest window.
     aspect = max((window[3] - window[1]) / (window[2] - window[0]) for window in windows)
@@ -200,7 +213,9 @@ def _panels(count: int, panel_height: float, title: str) -> tuple[Figure, list[A
 
     columns = min(COLUMNS, count)
     rows = math.ceil(count / columns)
-    width, height = columns * PANEL, rows * (panel_height + 0.36) + 0.4
+    row_height = panel_height + 0.36  # with its title
+    width = columns * PANEL
+    height = rows * row_height + 0.4
     figure = Figure(figsize=(width, height), facecolor=colors.PAPER)
     FigureCanvasAgg(figure)
     figure.text(0.12 / width, 1 - 0.2 / height, title, fontsize=13, color=colors.INK, weight="bold", va="center")
@@ -209,7 +224,7 @@ def _panels(count: int, panel_height: float, title: str) -> tuple[Figure, list[A
     for index in range(count):
         row, column = divmod(index, columns)
         left = column * PANEL + 0.08
-        bottom = height - 0.34 - (row + 1) * (panel_height + 0.36)
+        bottom = height - 0.34 - (row + 1) * row_height
         axes = figure.add_axes((left / width, bottom / height, (PANEL - 0.16) / width, panel_height / height))
         axes.set_axis_off()
         panels.append(axes)
@@ -237,7 +252,8 @@ def graph_sheet(environment: Environment, graph: BehaviorGraph) -> Figure:
         collection.set_clip_path(axes.patches[0])
     layers.draw_graph(axes, graph, alone=True)
     if len(np.asarray(graph.groups)):
-        _draw_groups(axes, graph, max(0.0035 * (high[0] - low[0]), MIN_RADIUS))
+        radius = 0.0035 * (high[0] - low[0])
+        _draw_groups(axes, graph, max(radius, MIN_RADIUS))
     axes.legend(
         *_graph_key(graph), loc="lower right", bbox_to_anchor=(1.0 - layers.MARGIN, 0.0), ncols=3, fontsize=8,
         frameon=False, labelcolor=colors.INK, handlelength=1.4, columnspacing=1.4, borderpad=0.1, labelspacing=0.35,
@@ -256,7 +272,9 @@ def _graph_extent(environment: Environment, graph: BehaviorGraph) -> tuple[np.nd
 
     # At least half as wide as high.
     min_width = 0.5 * (high[1] - low[1])
-    low[0], high[0] = min(low[0], high[0] - min_width), max(high[0], low[0] + min_width)
+    left, right = low[0], high[0]
+    low[0] = min(left, right - min_width)
+    high[0] = max(right, left + min_width)
     return np.maximum(low, floor[:2]), np.minimum(high, floor[2:])
 
 
@@ -281,11 +299,13 @@ def floors_sheet(floors: Sequence[tuple[Environment, BehaviorGraph]]) -> Figure:
     FigureCanvasAgg(figure)
     panels = figure.subplots(rows, COLUMNS, squeeze=False).flatten()
     corners = np.array([environment.floor for environment, _ in floors], float).reshape(-1, 2, 2)
-    width, height = (corners[:, 1] - corners[:, 0]).max(0, initial=0.0) + 0.4  # m, of all panels
+    sides = corners[:, 1] - corners[:, 0]  # (floors, 2) m
+    width, height = sides.max(0, initial=0.0) + 0.4  # m, of all panels
     for axes in panels:
         axes.set_axis_off()
     for axes, (environment, graph), ((x0, y0), (x1, y1)) in zip(panels, floors, corners, strict=False):
-        left, bottom = (x0 + x1 - width) / 2, y0 - 0.2
+        left = (x0 + x1 - width) / 2
+        bottom = y0 - 0.2
         axes.set(xlim=(left, left + width), ylim=(bottom, bottom + height), aspect="equal")
         axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, facecolor=colors.FLOOR, edgecolor=colors.MUTED))
         layers.draw_obstacles(axes, environment)
@@ -302,11 +322,14 @@ def _starts(scenario: Scenario, key: Array) -> _Starts:
         # Odds of 0 for all other sets.
         is_set = jnp.arange(sets.odds.shape[0]) == row
         odds = jnp.where(is_set[:, None, None], sets.odds, 0.0)
-        behavior = replace(scenario.behavior, data=replace(sets, odds=odds))
+        only_set = replace(sets, odds=odds)
+        behavior = replace(scenario.behavior, data=only_set)
         people, groups, _ = scenario.behavior.reset(replace(scenario, behavior=behavior), key)
 
-        start = _or_opening(sets.start[row], sets.start_group[row], groups)
-        goal = _or_opening(sets.goal[row], sets.goal_group[row], groups)
+        start_group = sets.start_group[row]
+        goal_group = sets.goal_group[row]
+        start = _or_opening(sets.start[row], start_group, groups)
+        goal = _or_opening(sets.goal[row], goal_group, groups)
         all_paths = jax.vmap(jax.vmap(_path, in_axes=(None, None, 0)), in_axes=(None, 0, None))
         return _Starts(
             start=start,
@@ -314,8 +337,8 @@ def _starts(scenario: Scenario, key: Array) -> _Starts:
             people=people.position,
             people_heading=people.heading,
             path=all_paths(scenario.navigation, start, goal),
-            start_heading=_facing(sets.start_heading[row], sets.start_group[row], groups, start),
-            goal_heading=_facing(sets.goal_heading[row], sets.goal_group[row], groups, goal),
+            start_heading=_facing(sets.start_heading[row], start_group, groups, start),
+            goal_heading=_facing(sets.goal_heading[row], goal_group, groups, goal),
             leg=_legs(sets, row),
         )
 
@@ -324,12 +347,14 @@ def _starts(scenario: Scenario, key: Array) -> _Starts:
 
 def _or_opening(place: Array, group: Array, groups: Groups) -> Array:
     """(5, 2) m, the places, or the places that groups leave open where there is one."""
-    return jnp.where(group[:, None] >= 0, groups.opening[jnp.maximum(group, 0)], place)
+    opening = groups.opening[jnp.maximum(group, 0)]
+    return jnp.where(group[:, None] >= 0, opening, place)
 
 
 def _legs(sets: Sets, row: Array) -> Array:
     """(L, K, MAX_CORNERS, 2) m: paths from each waypoint of a set's loops to the next one."""
-    waypoint, count = sets.waypoint[row], sets.waypoints[row][:, None]
+    waypoint = sets.waypoint[row]
+    count = sets.waypoints[row][:, None]
     next_index = jnp.arange(1, waypoint.shape[1] + 1)[None, :] % count  # (L, K)
     next_waypoint = jnp.take_along_axis(waypoint, next_index[..., None], axis=1)
     if sets.ways is None:
@@ -358,7 +383,8 @@ def _path(navigation: paths.Navigation, start: Array, goal: Array) -> Array:
     def step(place: Array, _: None) -> tuple[Array, Array]:
         return paths.next_point(navigation, place, goal, paths_to_goal), place
 
-    return jax.lax.scan(step, start, length=MAX_CORNERS)[1]
+    _, corners = jax.lax.scan(step, start, length=MAX_CORNERS)
+    return corners
 
 
 def _window(floor: np.ndarray, points: np.ndarray) -> tuple[float, float, float, float]:
@@ -366,9 +392,12 @@ def _window(floor: np.ndarray, points: np.ndarray) -> tuple[float, float, float,
     low = points.min(0) - PANEL_MARGIN
     high = points.max(0) + PANEL_MARGIN
     side = max(MIN_PANEL, *(high - low))
-    extent = np.minimum(side, floor[2:] - floor[:2])
-    x0, y0 = np.clip((low + high - extent) / 2, floor[:2], floor[2:] - extent)
-    return x0, y0, x0 + extent[0], y0 + extent[1]
+    lower = floor[:2]
+    upper = floor[2:]
+    extent = np.minimum(side, upper - lower)
+    width, height = extent
+    x0, y0 = np.clip((low + high - extent) / 2, lower, upper - extent)
+    return x0, y0, x0 + width, y0 + height
 
 
 def _draw_set(axes: Axes, environment: Environment, window: tuple, starts: _Starts, sets: Sets) -> None:
@@ -390,7 +419,8 @@ def _draw_set(axes: Axes, environment: Environment, window: tuple, starts: _Star
     axes.add_collection(LineCollection(lines, colors=colors.ROBOT, linewidths=0.5, alpha=0.55, zorder=3))
 
     # Who walks a loop against its order meets the robot head-on, so arrows show both directions.
-    in_both_directions = bool((sets.way[sets.present & (sets.loop >= 0)] < 0).any())
+    in_loop = sets.present & (sets.loop >= 0)
+    in_both_directions = bool((sets.way[in_loop] < 0).any())
     for leg, count, walked in zip(starts.leg, sets.waypoints, sets.walked, strict=True):
         if np.isfinite(walked).any():  # padding has no length
             _draw_loop(axes, np.asarray(leg)[:count], side, in_both_directions)
@@ -399,7 +429,8 @@ def _draw_set(axes: Axes, environment: Environment, window: tuple, starts: _Star
     people = np.asarray(starts.people[sets.present])
     heading = np.asarray(starts.people_heading[sets.present])
     is_member = np.asarray(sets.group[sets.present] >= 0)
-    layers.draw_discs(axes, people, heading, is_member, max(0.012 * side, MIN_RADIUS), 0.7)
+    radius = max(0.012 * side, MIN_RADIUS)
+    layers.draw_discs(axes, people, heading, is_member, radius, 0.7)
 
     # A pose may be the open place of a group, so poses are drawn above people.
     _draw_poses(axes, starts.start, starts.start_heading, side, "s", colors.PAPER)
@@ -419,7 +450,8 @@ def _draw_poses(axes: Axes, position: Array, heading: Array, side: float, marker
     """Draw poses of the robot, with ticks along the headings, in a panel of a side [m]."""
     from matplotlib.collections import LineCollection
 
-    ticks = np.stack([position, position + 0.04 * side * heading], 1)
+    tips = position + 0.04 * side * heading
+    ticks = np.stack([position, tips], 1)
     axes.add_collection(LineCollection(list(ticks), colors=colors.ROBOT_EDGE, linewidths=0.8, zorder=8))
     style: Any = dict(markerfacecolor=face, markeredgecolor=colors.ROBOT_EDGE, markeredgewidth=0.8)
     axes.plot(*position.T, linestyle="", marker=marker, markersize=4.2, zorder=9, **style)
@@ -433,10 +465,13 @@ def _draw_loop(axes: Axes, legs: np.ndarray, side: float, both: bool) -> None:
         if length < 0.12 * side:
             continue
         along = (end - start) / length
+        middle = 0.5 * (start + end)
+        from_middle = 0.02 * side + 0.03 * side * both
         for sign in (1.0, -1.0) if both else (1.0,):
-            tip = 0.5 * (start + end) + sign * (0.02 * side + 0.03 * side * both) * along
+            tip = middle + sign * from_middle * along
+            tail = tip - 1e-2 * sign * along
             arrow = dict(arrowstyle="-|>", color=colors.TRAIL, mutation_scale=9, linewidth=0)
-            axes.annotate("", xy=tuple(tip), xytext=tuple(tip - 1e-2 * sign * along), arrowprops=arrow, zorder=4)
+            axes.annotate("", xy=tuple(tip), xytext=tuple(tail), arrowprops=arrow, zorder=4)
 
 
 def _graph_key(graph: BehaviorGraph) -> tuple[list, list[str]]:

@@ -33,12 +33,17 @@ PAPER = "#fffffe"  # odd values, so that a page can replace them in a drawing by
 FLOOR = "#f4f6f9"
 INK = "#1c2333"
 MUTED = "#6c7589"
-ROBOT, ROBOT_EDGE = "#f58a07", "#5e3200"
-PERSON, MEMBER, PERSON_EDGE = "#fdfefd", "#6fd0ea", "#2b3448"
+ROBOT = "#f58a07"
+ROBOT_EDGE = "#5e3200"
+PERSON = "#fdfefd"
+MEMBER = "#6fd0ea"  # of a group
+PERSON_EDGE = "#2b3448"
 TRAIL = "#6a80b4"
-EDGE, FAINT_EDGE = "#8d99b3", "#c3cad8"  # of the behavior graph
+EDGE = "#8d99b3"  # of the behavior graph
+FAINT_EDGE = "#c3cad8"
 OBSTACLE = "#4d5b78"  # drawn the more opaque the higher it is
-FLOW, FLOW_EDGE = "#2f6fb0", "#173a5e"  # of people along edges, over a heat map
+FLOW = "#2f6fb0"  # of people along edges, over a heat map
+FLOW_EDGE = "#173a5e"
 HEAT = ("#ffe8c400", "#fdcf94", "#f78d4f", "#dd3a25", "#a3082f")
 
 

@@ -28,9 +28,11 @@ MAX_SAMPLES = 24  # pictures from which the palette is made
 SAMPLE = 500_000  # pixels that stand for theirs; all ten million took most of the time of a film
 TAIL = 2.0  # s, of the line behind a person
 SUPERSAMPLING = 2  # a camera's pictures are rendered with this many times the pixels each way, then averaged
-RATE, SPEED = 5.0, 4.0  # pictures a second of a camera's film; films are as many times faster than the episode
+RATE = 5.0  # pictures a second of a camera's film
+SPEED = 4.0  # films are as many times faster than the episode
 LAST = 2.0  # s, for which the last picture is shown
-WIDTH, HEIGHT = 320, 240  # pixels, of a camera that is named
+WIDTH = 320  # pixels, of a camera that is named
+HEIGHT = 240
 
 
 def animate(
@@ -63,8 +65,15 @@ def animate(
     frames = layers.one_episode(frames)
     names = layers.situation_names(frames, situations)
     film = _Film(environment, frames, graph, names, time_step, robot_radius, size, title, every)
-    steps = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
-    save_gif(path, len(steps), lambda index: film.picture(steps[index]), every * time_step / SPEED, colors=FLAT_COLORS)
+    steps = _steps_of_film(frames, every)
+    pause = every * time_step / SPEED
+    save_gif(path, len(steps), lambda index: film.picture(steps[index]), pause, colors=FLAT_COLORS)
+
+
+def _steps_of_film(frames: Trajectory, every: int) -> list[int]:
+    """The steps of one episode that a film shows: each ``every``-th, and the last."""
+    last = len(frames.active) - 1
+    return [*range(0, last, every), last]
 
 
 def video(frames: Trajectory, scenario: Scenario, path: Target, *, view: str | Camera = "first_person") -> None:
@@ -81,13 +90,15 @@ def video(frames: Trajectory, scenario: Scenario, path: Target, *, view: str | C
     from PIL import Image
 
     check_gif_path(path)
-    eye = camera(scenario, view, width=WIDTH, height=HEIGHT) if isinstance(view, str) else view
+    if isinstance(view, str):
+        view = camera(scenario, view, width=WIDTH, height=HEIGHT)
     frames = layers.one_episode(frames)
     every = max(1, round(SPEED / RATE / scenario.time_step))
-    steps = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
-    rendered = render_frames(jax.tree.map(lambda leaf: leaf[steps], frames), scenario, eye)
-    pictures = [Image.fromarray(picture) for picture in rendered]
-    save_gif(path, len(pictures), pictures.__getitem__, every * scenario.time_step / SPEED)
+    steps = _steps_of_film(frames, every)
+    shown = jax.tree.map(lambda leaf: leaf[steps], frames)
+    pictures = [Image.fromarray(picture) for picture in render_frames(shown, scenario, view)]
+    pause = every * scenario.time_step / SPEED
+    save_gif(path, len(pictures), pictures.__getitem__, pause)
 
 
 def check_gif_path(path: Target) -> None:
@@ -107,15 +118,20 @@ def save_gif(
     """
     from PIL import Image
 
+    # One palette for all pictures, from some of them.
     samples = np.linspace(0, number - 1, min(MAX_SAMPLES, number)).round().astype(int)
     sampled = [np.asarray(picture(int(index)).convert("RGB")) for index in samples]
     pixels = _fewer_pixels(np.concatenate(sampled))
     palette = Image.fromarray(pixels).quantize(colors, method=Image.Quantize.MAXCOVERAGE, kmeans=1)
+
     images = []
     for index in range(number):
-        images.append(picture(index).convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE))
-    pauses = [max(20, round(100 * pause) * 10)] * (number - 1) + [round(1000 * LAST)]
-    images[0].save(path, format="GIF", save_all=True, append_images=images[1:], duration=pauses, loop=0, optimize=False)
+        image = picture(index).convert("RGB")
+        images.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
+    first, *following = images
+    milliseconds = max(20, round(100 * pause) * 10)
+    pauses = [milliseconds] * (number - 1) + [round(1000 * LAST)]
+    first.save(path, format="GIF", save_all=True, append_images=following, duration=pauses, loop=0, optimize=False)
 
 
 def _fewer_pixels(pixels: np.ndarray) -> np.ndarray:
@@ -125,7 +141,10 @@ def _fewer_pixels(pixels: np.ndarray) -> np.ndarray:
     colors = np.flatnonzero(counts)
     repeats = -(-counts[colors] * SAMPLE // len(shades))
     sample = np.repeat(colors, repeats)
-    return np.stack([sample >> 16, sample >> 8 & 255, sample & 255], -1)[None].astype(np.uint8)
+    red = sample >> 16
+    green = sample >> 8 & 255
+    blue = sample & 255
+    return np.stack([red, green, blue], -1)[None].astype(np.uint8)
 
 
 # ------------------------------------------------------------------ from above
@@ -134,7 +153,9 @@ def _fewer_pixels(pixels: np.ndarray) -> np.ndarray:
 FLIP = np.array([1.0, -1.0])  # y points down in pictures
 BODY_ANGLES = np.linspace(0.0, 2.0 * np.pi, 25)[:-1]
 BODY = np.stack([layers.DEPTH * np.cos(BODY_ANGLES), np.sin(BODY_ANGLES)], 1)  # (24, 2) ahead and aside
-START_RADIUS, GOAL_RADIUS, TARGET_RADIUS = 0.42, 0.75, 0.28  # m
+START_RADIUS = 0.42  # m
+GOAL_RADIUS = 0.75  # m
+TARGET_RADIUS = 0.28  # m
 
 
 class _Background:
@@ -160,7 +181,8 @@ class _Background:
         """Points (..., 2) [m] as pixels from the upper left corner."""
         points = np.asarray(points, float)
         corner = np.array([0.0, self.image.height])
-        return corner + FLIP * self.to_pixels(points.reshape(-1, 2)).reshape(points.shape)
+        pixels = self.to_pixels(points.reshape(-1, 2)).reshape(points.shape)
+        return corner + FLIP * pixels
 
 
 class _Caption:
@@ -175,30 +197,35 @@ class _Caption:
         self.small_font = ImageFont.truetype(str(font), round(size / 32))
         self.flags = np.asarray(frames.situations, bool)
         self.situations = list(zip(situations, colors.situation_colors(situations), strict=True))
-        self.time_step, self.title = time_step, title
+        self.time_step = time_step
+        self.title = title
 
     def draw(self, draw: ImageDraw.ImageDraw, size: tuple[int, int], t: int) -> None:
         """Draw the caption of frame ``t`` on a picture of a size in pixels."""
         width, height = size
-        baseline = height - 0.6 * self.font.size
+        font = self.font
+        baseline = height - 0.6 * font.size
         time = f"{t * self.time_step:.1f} s"
-        draw.text((0.30 * width, baseline), time, font=self.font, fill=colors.INK, anchor="rs")
+        draw.text((0.30 * width, baseline), time, font=font, fill=colors.INK, anchor="rs")
+        title_start = 0.33 * width
         if self.title:
-            draw.text((0.33 * width, baseline), self.title, font=self.font, fill=colors.MUTED, anchor="ls")
-        title_end = 0.33 * width + draw.textlength(self.title, font=self.font) + self.font.size
+            draw.text((title_start, baseline), self.title, font=font, fill=colors.MUTED, anchor="ls")
+        title_end = title_start + draw.textlength(self.title, font=font) + font.size
         right = width * (1 - layers.MARGIN)
+        room = right - title_end
 
         # Situations in one row, or smaller in as many rows as needed.
         holding = [situation for flag, situation in zip(self.flags[t], self.situations, strict=True) if flag]
-        font, rows = self.font, [holding]
-        if _row_length(draw, holding, font) > right - title_end:
+        rows = [holding]
+        if _row_length(draw, holding, font) > room:
             font = self.small_font
-            rows = _break_rows(draw, holding, font, right - title_end)
+            rows = _break_rows(draw, holding, font, room)
         for up, row in enumerate(reversed(rows)):
             x = right - _row_length(draw, row, font)
+            y = baseline - 1.2 * up * font.size
             for name, color in row:
                 label = name.replace("_", " ")
-                draw.text((x, baseline - 1.2 * up * font.size), label, font=font, fill=color, anchor="ls")
+                draw.text((x, y), label, font=font, fill=color, anchor="ls")
                 x += draw.textlength(label, font=font) + font.size
 
 
@@ -214,7 +241,8 @@ def _break_rows(draw: ImageDraw.ImageDraw, situations: list, font: ImageFont.Fre
 
 def _row_length(draw: ImageDraw.ImageDraw, situations: list, font: ImageFont.FreeTypeFont) -> float:
     """Width in pixels of the names of situations in one row."""
-    lengths = (draw.textlength(name.replace("_", " "), font=font) + font.size for name, _ in situations)
+    labels = [name.replace("_", " ") for name, _ in situations]
+    lengths = (draw.textlength(label, font=font) + font.size for label in labels)
     return sum(lengths) - font.size
 
 
@@ -235,7 +263,9 @@ class _Film:
     ) -> None:
         self.background = _Background(environment, graph, size)
         self.caption = _Caption(frames, situations, time_step, size, title)
-        self.metre, self.line, pixels = self.background.metre, self.background.line, self.background.pixels
+        self.metre = self.background.metre
+        self.line = self.background.line
+        pixels = self.background.pixels
         self.every = every
         self.tail = round(TAIL / time_step)
 
@@ -244,16 +274,21 @@ class _Film:
         self.group = frames.group
         self.present = np.asarray(frames.present, bool)
         heading = FLIP * frames.people_heading
-        self.heading_ends = self.people + heading * (1.9 * layers.PERSON_RADIUS * self.metre)
+        tick = 1.9 * layers.PERSON_RADIUS * self.metre  # pixels
+        self.heading_ends = self.people + heading * tick
 
         # The robot and the other ones of its team.
-        others = layers.other_robots(frames)
-        radii = np.maximum(np.broadcast_to(robot_radius, 1 + len(others)) * self.metre, 2.0 * self.line)
-        self.radius, self.other_radii = float(radii[0]), radii[1:]
-        self.path, self.heading = pixels(frames.position), FLIP * frames.heading
+        others = layers.other_robots(frames)  # (R, T, 6)
+        radii = np.broadcast_to(robot_radius, 1 + len(others)) * self.metre
+        radii = np.maximum(radii, 2.0 * self.line)
+        self.radius = float(radii[0])
+        self.other_radii = radii[1:]
+        self.path = pixels(frames.position)
+        self.heading = FLIP * frames.heading
         self.path_colors = layers.step_colors(frames, situations)
         self.others = pixels(others[..., :2])
-        self.other_noses = self.others + FLIP * others[..., 2:4] * (2.2 * self.other_radii[:, None, None])
+        other_headings = FLIP * others[..., 2:4]
+        self.other_noses = self.others + other_headings * (2.2 * self.other_radii[:, None, None])
         self.goals = [pixels(frames.goal[-1]), *pixels(others[:, -1, 4:])]
 
     def picture(self, t: int) -> Image.Image:
@@ -268,18 +303,21 @@ class _Film:
         self._draw_people(draw, t)
         for path, noses, radius in zip(self.others, self.other_noses, self.other_radii, strict=True):
             self._draw_robot(draw, path[t], noses[t], radius)
-        nose = self.path[t] + self.heading[t] * 2.2 * self.radius
-        self._draw_robot(draw, self.path[t], nose, self.radius)
+        place = self.path[t]
+        nose = place + self.heading[t] * 2.2 * self.radius
+        self._draw_robot(draw, place, nose, self.radius)
         self.caption.draw(draw, self.background.image.size, t)
         return image.reduce(2)
 
     def _draw_goals(self, draw: ImageDraw.ImageDraw) -> None:
         """The robot's start, and the goals of all robots, of which its own is bolder."""
-        _disc(draw, self.path[0], START_RADIUS * self.metre, outline=colors.ROBOT, width=2 * self.line)
-        for index, goal in enumerate(self.goals):
-            width = self.line if index else 2 * self.line
+        bold = 2 * self.line
+        _disc(draw, self.path[0], START_RADIUS * self.metre, outline=colors.ROBOT, width=bold)
+        width = bold
+        for goal in self.goals:
             _disc(draw, goal, GOAL_RADIUS * self.metre, outline=colors.ROBOT, width=width)
             _disc(draw, goal, TARGET_RADIUS * self.metre, fill=colors.ROBOT)
+            width = self.line
 
     def _draw_path(self, draw: ImageDraw.ImageDraw, t: int) -> None:
         for first in range(0, t, self.every):
@@ -299,14 +337,19 @@ class _Film:
     def _draw_people(self, draw: ImageDraw.ImageDraw, t: int) -> None:
         """Shoulders, with a tick along the heading."""
         for person in np.flatnonzero(self.present[t]):
-            place, end = self.people[t, person], self.heading_ends[t, person]
+            place = self.people[t, person]
+            end = self.heading_ends[t, person]
             draw.line([*place, *end], fill=colors.PERSON_EDGE, width=self.line)
+
+            # The outline of the shoulders, ahead along x and aside along y.
             tick = end - place
             x, y = tick / max(float(np.hypot(*tick)), 1e-9)
             axes = np.array([(x, y), (-y, x)])
             outline = place + layers.PERSON_RADIUS * self.metre * (BODY @ axes)
             corners = [tuple(corner) for corner in outline]
-            face = colors.MEMBER if self.group[t, person] >= 0 else colors.PERSON
+            face = colors.PERSON
+            if self.group[t, person] >= 0:
+                face = colors.MEMBER
             draw.polygon(corners, fill=face, outline=colors.PERSON_EDGE, width=self.line)
 
     def _draw_robot(self, draw: ImageDraw.ImageDraw, place: np.ndarray, nose: np.ndarray, radius: float) -> None:
@@ -333,20 +376,26 @@ def render_frames(frames: Trajectory, scenario: Scenario, eye: Camera) -> Iterat
         if eye.name == "depth":
             return depth(scenario, state, eye)
         rgb = render(scenario, state, fine).rgb
-        return rgb.reshape(eye.height, SUPERSAMPLING, eye.width, SUPERSAMPLING, 3).mean((1, 3))
+        blocks = rgb.reshape(eye.height, SUPERSAMPLING, eye.width, SUPERSAMPLING, 3)
+        return blocks.mean((1, 3))
 
     for t in range(len(frames.active)):
         frame = jax.tree.map(lambda leaf, t=t: jnp.asarray(leaf[t]), frames)
         image = np.asarray(picture(frame))
-        yield depth_colors(image, eye.far) if eye.name == "depth" else (255 * image + 0.5).astype(np.uint8)
+        if eye.name == "depth":
+            yield depth_colors(image, eye.far)
+        else:
+            yield (255 * image + 0.5).astype(np.uint8)
 
 
 def depth_colors(image: np.ndarray, far: float) -> np.ndarray:
     """Depths (H, W) [m] as colors (H, W, 3) uint8: blue near, red far, dark grey from ``far`` [m] on."""
     from matplotlib import colormaps
 
-    shades = colormaps["turbo"](np.sqrt(np.clip(image / far, 0.0, 1.0)))[..., :3]
-    return (255 * np.where(image[..., None] < far, shades, 0.2) + 0.5).astype(np.uint8)
+    share = np.clip(image / far, 0.0, 1.0)
+    shades = colormaps["turbo"](np.sqrt(share))[..., :3]
+    shades = np.where(image[..., None] < far, shades, 0.2)
+    return (255 * shades + 0.5).astype(np.uint8)
 
 
 def _state(frame: Trajectory) -> State:

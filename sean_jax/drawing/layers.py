@@ -26,16 +26,19 @@ ROBOT_RADIUS = 0.16  # m, Kuri's, where no scenario tells another
 HALO = 0.7  # m, around a robot: at its true size alone it would be hard to find
 MAX_BAND = 0.45, 0.024  # of the nodes' mean radius, and of the floor's width: the band of the edge with most people
 MIN_BAND = 0.002  # of the floor's width: the bands of edges with hardly any people
-MARGIN, FOOT = 0.02, 0.075  # of the floor's width, around it and below it
+MARGIN = 0.02  # of the floor's width, around it
+FOOT = 0.075  # of the floor's width, below it
 
 
 def one_episode(frames: Trajectory) -> Trajectory:
     """The frames (T, ...) of one episode on the host, cut after the last active one; InputError for a batch."""
-    if np.ndim(frames.active) != 1:
-        raise InputError(f"frames of one episode have one leading axis, these have {np.ndim(frames.active)}.")
+    axes = np.ndim(frames.active)
+    if axes != 1:
+        raise InputError(f"frames of one episode have one leading axis, these have {axes}.")
     frames = jax.tree.map(np.asarray, frames)
-    last = int(np.flatnonzero(frames.active)[-1]) + 1 if np.any(frames.active) else 1
-    return jax.tree.map(lambda leaf: leaf[:last], frames)
+    active = np.flatnonzero(frames.active)
+    count = int(active[-1]) + 1 if len(active) else 1
+    return jax.tree.map(lambda leaf: leaf[:count], frames)
 
 
 def first_episode(frames: Trajectory) -> Trajectory:
@@ -52,9 +55,11 @@ def situation_names(frames: Trajectory, names: Sequence[str] | None) -> tuple[st
         InputError: there are not S names.
     """
     number = np.shape(frames.situations)[-1]
+    paper = tuple(colors.SITUATION_COLORS)
+    if names is None and number == len(paper):
+        return paper
     if names is None:
-        paper = tuple(colors.SITUATION_COLORS)
-        return paper if number == len(paper) else tuple(f"situation_{index}" for index in range(1, number + 1))
+        return tuple(f"situation_{index}" for index in range(1, number + 1))
     if len(names) != number:
         raise InputError(f"situations: {len(names)} names for frames with {number} situations; give one name for each.")
     return tuple(names)
@@ -64,13 +69,15 @@ def situation_indices(frames: Trajectory) -> np.ndarray:
     """(T,) int, the first situation that holds in each step, S if none holds."""
     flags = np.asarray(frames.situations, bool)
     none = np.ones((*flags.shape[:-1], 1), bool)
-    return np.concatenate([flags, none], -1).argmax(-1)
+    flags = np.concatenate([flags, none], -1)
+    return flags.argmax(-1)
 
 
 def step_colors(frames: Trajectory, situations: Sequence[str]) -> list[str]:
     """The color of each step: that of the first situation that holds."""
     shades = [*colors.situation_colors(situations), colors.NO_SITUATION]
-    return [shades[index] for index in situation_indices(frames)]
+    indices = situation_indices(frames)
+    return [shades[index] for index in indices]
 
 
 def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, Axes]:
@@ -82,22 +89,26 @@ def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, 
     # The floor with its margins [m], and a title above it [inches].
     x0, y0, x1, y1 = map(float, np.asarray(environment.floor))
     span = x1 - x0
-    bottom, top = y0 - FOOT * span, y1 + MARGIN * span
+    margin = MARGIN * span
+    bottom = y0 - FOOT * span
+    top = y1 + margin
     width_shown = span * (1 + 2 * MARGIN)
     floor_height = width * (top - bottom) / width_shown
-    height = floor_height + (0.32 if title else 0.0)
+    height = floor_height
+    if title:
+        height += 0.32
 
     figure = Figure(figsize=(width, height), facecolor=colors.PAPER)
     FigureCanvasAgg(figure)
     axes = figure.add_axes((0.0, 0.0, 1.0, floor_height / height))
-    axes.set_xlim(x0 - MARGIN * span, x1 + MARGIN * span)
+    axes.set_xlim(x0 - margin, x1 + margin)
     axes.set_ylim(bottom, top)
     axes.set_axis_off()
     style: Any = dict(facecolor=colors.FLOOR, edgecolor=colors.MUTED, linewidth=0.8, zorder=0)
     axes.add_patch(Rectangle((x0, y0), span, y1 - y0, **style))
     if title:
         style = dict(fontsize=10, color=colors.INK, va="center", weight="bold")
-        figure.text(MARGIN * span / width_shown, 1 - 0.14 / height, title, **style)
+        figure.text(margin / width_shown, 1 - 0.14 / height, title, **style)
     return figure, axes
 
 
@@ -107,25 +118,29 @@ def draw_obstacles(axes: Axes, environment: Environment) -> None:
     from matplotlib.colors import to_rgba
 
     boxes = jax.tree.map(np.asarray, environment.obstacles)
-    boxes = jax.tree.map(lambda leaf: leaf[boxes.height > 0.0], boxes)
+    is_visible = boxes.height > 0.0
+    boxes = jax.tree.map(lambda leaf: leaf[is_visible], boxes)
     outlines = _box_outlines(boxes)
-    opacity = 0.18 + 0.44 * np.clip(boxes.height / DARKEST_HEIGHT, 0, 1) ** 0.7
+    relative_height = np.clip(boxes.height / DARKEST_HEIGHT, 0, 1)
+    opacity = 0.18 + 0.44 * relative_height**0.7
+    edge_opacity = np.minimum(1.5 * opacity, 1.0)
     faces = [to_rgba(colors.OBSTACLE, alpha) for alpha in opacity]
-    edges = [to_rgba(colors.OBSTACLE, alpha) for alpha in np.minimum(1.5 * opacity, 1.0)]
+    edges = [to_rgba(colors.OBSTACLE, alpha) for alpha in edge_opacity]
 
     # The floor's color below hides what is under translucent boxes.
     axes.add_collection(PolyCollection(outlines, facecolors=colors.FLOOR, edgecolors="none", zorder=2))
-    style: Any = dict(linewidths=0.6, zorder=2)
-    axes.add_collection(PolyCollection(outlines, facecolors=faces, edgecolors="none", **style))
-    axes.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=edges, **style))
+    axes.add_collection(PolyCollection(outlines, facecolors=faces, edgecolors="none", linewidths=0.6, zorder=2))
+    axes.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=edges, linewidths=0.6, zorder=2))
 
 
 def _box_outlines(boxes: Obstacles) -> list[np.ndarray]:
     """(4, 2) m, the corners of each box."""
     signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], float)
-    u, v = np.moveaxis(np.asarray(boxes.half_extent)[:, None] * signs, -1, 0)  # (K, 4) each
-    cosine, sine = np.cos(boxes.yaw)[:, None], np.sin(boxes.yaw)[:, None]
-    center_x, center_y = boxes.center.T[..., None]
+    offsets = np.asarray(boxes.half_extent)[:, None] * signs  # (K, 4, 2) m
+    u, v = np.moveaxis(offsets, -1, 0)
+    cosine = np.cos(boxes.yaw)[:, None]
+    sine = np.sin(boxes.yaw)[:, None]
+    center_x, center_y = boxes.center.T[..., None]  # (K, 1) m each
     x = center_x + cosine * u - sine * v
     y = center_y + sine * u + cosine * v
     return list(np.stack([x, y], -1))
@@ -138,11 +153,15 @@ def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
         alone: name the nodes; otherwise colors are faint, for a background.
     """
     count = len(graph.names) or graph.nodes
-    position, radius = np.asarray(graph.position)[:count], np.asarray(graph.radius)[:count]
+    position = np.asarray(graph.position)[:count]
+    radius = np.asarray(graph.radius)[:count]
     is_group = np.asarray(graph.is_group, bool)[:count]
-    color = colors.EDGE if alone else colors.FAINT_EDGE
+    color = colors.FAINT_EDGE
+    if alone:
+        color = colors.EDGE
+    is_waypoint = ~is_group
     _draw_edges(axes, position, np.asarray(graph.flow), color)
-    _draw_nodes(axes, position[~is_group], radius[~is_group], color, "-")
+    _draw_nodes(axes, position[is_waypoint], radius[is_waypoint], color, "-")
     _draw_nodes(axes, position[is_group], radius[is_group], colors.MEMBER, "--")
     if alone:
         _draw_node_names(axes, graph.names, position, radius, is_group)
@@ -152,27 +171,46 @@ def _draw_edges(axes: Axes, position: np.ndarray, flows: np.ndarray, color: str)
     """Lines between nodes at positions (M, 2) [m], by their flows (M, M), indices into FLOWS."""
     from matplotlib.collections import LineCollection
 
-    lines, styles, widths = [], [], []
+    lines = []
+    styles = []
+    widths = []
     for u, v in np.argwhere(np.triu(flows != NO_EDGE, 1)):
         flow = FLOWS[flows[u, v]]
-        start, end = (position[v], position[u]) if flow == "backward" else (position[u], position[v])
+        start = position[u]
+        end = position[v]
+        if flow == "backward":
+            start, end = end, start
+        style: Any = "-"
+        width = 1.2
+        if flow == "low":
+            style = (0, (1, 1.6))  # dots
+        elif flow == "high":
+            width = 2.6
+        elif flow in ("forward", "backward"):
+            _draw_direction(axes, start, end, color)
         lines.append((start, end))
-        styles.append((0, (1, 1.6)) if flow == "low" else "-")
-        widths.append(2.6 if flow == "high" else 1.2)
-        if flow in ("forward", "backward"):
-            along = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
-            tip = 0.5 * (start + end) + 0.5 * along
-            arrow = dict(arrowstyle="-|>", color=color, mutation_scale=13, linewidth=0)
-            axes.annotate("", xy=tuple(tip), xytext=tuple(tip - 0.1 * along), arrowprops=arrow, zorder=3)
+        styles.append(style)
+        widths.append(width)
     axes.add_collection(LineCollection(lines, colors=color, linewidths=widths, linestyles=styles, zorder=3))
+
+
+def _draw_direction(axes: Axes, start: np.ndarray, end: np.ndarray, color: str) -> None:
+    """An arrow past the middle of a line from start to end (2,) [m]."""
+    gap = end - start
+    along = gap / max(float(np.hypot(*gap)), 1e-9)
+    tip = 0.5 * (start + end) + 0.5 * along
+    tail = tip - 0.1 * along
+    arrow = dict(arrowstyle="-|>", color=color, mutation_scale=13, linewidth=0)
+    axes.annotate("", xy=tuple(tip), xytext=tuple(tail), arrowprops=arrow, zorder=3)
 
 
 def _draw_nodes(axes: Axes, position: np.ndarray, radius: np.ndarray, color: str, line: str) -> None:
     """Faint discs with an outline."""
     size = 2 * radius
-    for alpha, face, edge in ((0.16, color, "none"), (1.0, "none", color)):
-        style = dict(facecolors=face, edgecolors=edge, alpha=alpha, linewidths=0.9, linestyles=line, zorder=3)
-        _draw_ellipses(axes, position, size, size, np.zeros_like(size), style)
+    angle = np.zeros_like(size)
+    outline = dict(linewidths=0.9, linestyles=line, zorder=3)
+    _draw_ellipses(axes, position, size, size, angle, dict(facecolors=color, edgecolors="none", alpha=0.16) | outline)
+    _draw_ellipses(axes, position, size, size, angle, dict(facecolors="none", edgecolors=color, alpha=1.0) | outline)
 
 
 def _draw_node_names(
@@ -188,7 +226,7 @@ def _draw_node_names(
         if group:
             axes.text(x, y + size, label, va="bottom", **style)
         else:
-            axes.text(x, y + 0.0, label, va="center", **style)
+            axes.text(x, y, label, va="center", **style)
 
 
 def draw_trails(axes: Axes, frames: Trajectory, steps: int) -> None:
@@ -196,20 +234,26 @@ def draw_trails(axes: Axes, frames: Trajectory, steps: int) -> None:
     from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgb
 
-    people = np.asarray(frames.people)[-steps - 1 :]
-    present = np.asarray(frames.present)[-steps - 1 :]
+    first = -steps - 1
+    people = np.asarray(frames.people)[first:]
+    present = np.asarray(frames.present)[first:]
     stride = max(1, len(people) // 240)
     people = people[::-stride][::-1]
     present = present[::-stride][::-1]
     if len(people) < 2:
         return
+
+    # People who are absent at one end of a segment did not walk there.
     segments = np.stack([people[:-1], people[1:]], 2)  # (T - 1, N, 2, 2)
-    walked = (present[:-1] & present[1:]).ravel()  # people who are absent at one end did not walk there
+    walked = present[:-1] & present[1:]
+    walked = walked.ravel()
 
     # Trails fade with age.
-    opacity = 0.75 * np.linspace(0.03, 1.0, len(segments))[:, None] ** 1.6
+    age = np.linspace(0.03, 1.0, len(segments))[:, None]  # from the oldest
+    opacity = 0.75 * age**1.6
     color = np.tile(to_rgb(colors.TRAIL), (len(segments), 1))
-    shades = np.repeat(np.concatenate([color, opacity], 1), people.shape[1], 0)
+    shades = np.concatenate([color, opacity], 1)
+    shades = np.repeat(shades, people.shape[1], 0)  # for each person
     lines = list(segments.reshape(-1, 2, 2)[walked])
     trails = LineCollection(lines, colors=shades[walked], linewidths=1.1, zorder=4)
     trails.set_rasterized(True)  # thousands of segments: an image is smaller than their outlines
@@ -222,8 +266,8 @@ def draw_people(axes: Axes, frames: Trajectory) -> None:
     present = np.asarray(frames.present[-1], bool)
     position = np.asarray(frames.people[-1])[present]
     heading = np.asarray(frames.people_heading[-1])[present]
-    is_member = np.asarray(frames.group[-1])[present] >= 0
-    draw_discs(axes, position, heading, is_member, PERSON_RADIUS, 0.8)
+    group = np.asarray(frames.group[-1])[present]
+    draw_discs(axes, position, heading, group >= 0, PERSON_RADIUS, 0.8)
 
 
 def draw_discs(
@@ -239,10 +283,14 @@ def draw_discs(
     """
     from matplotlib.collections import LineCollection
 
-    ticks = np.stack([position, position + 1.9 * radius * heading], 1)
+    tips = position + 1.9 * radius * heading
+    ticks = np.stack([position, tips], 1)
     axes.add_collection(LineCollection(list(ticks), colors=colors.PERSON_EDGE, linewidths=linewidth + 0.1, zorder=6))
+
+    # From shoulder to shoulder, and less deep.
     across = np.full(len(position), 2 * radius)
-    angles = np.degrees(np.arctan2(heading[:, 1], heading[:, 0]))
+    angles = np.arctan2(heading[:, 1], heading[:, 0])
+    angles = np.degrees(angles)
     faces = [colors.MEMBER if is_member else colors.PERSON for is_member in member]
     style = dict(facecolors=faces, edgecolors=colors.PERSON_EDGE, linewidths=linewidth, zorder=7)
     _draw_ellipses(axes, position, DEPTH * across, across, angles, style)
@@ -271,7 +319,9 @@ def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius
     others = other_robots(frames)
     radius, *other_radii = map(float, np.broadcast_to(radius, 1 + len(others)))
     _draw_path(axes, path, step_colors(frames, situations))
-    start, goal, place = map(_point, (path[0], frames.goal[-1], path[-1]))
+    start = _point(path[0])
+    goal = _point(frames.goal[-1])
+    place = _point(path[-1])
 
     # Start and goal.
     ring: Any = dict(edgecolor=colors.ROBOT, linewidth=1.8, zorder=10)
@@ -286,20 +336,25 @@ def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius
     _draw_circle(axes, place, radius, **body)
     for robot, other_radius in zip(others, other_radii, strict=True):
         _draw_other_robot(axes, robot, other_radius, body, nose)
-    tip = path[-1] + 2.2 * radius * frames.heading[-1]
-    axes.plot(*zip(path[-1], tip, strict=True), **nose)
+    end = path[-1]
+    tip = end + 2.2 * radius * frames.heading[-1]
+    axes.plot(*np.stack([end, tip], 1), **nose)
 
 
 def _draw_other_robot(axes: Axes, robot: np.ndarray, radius: float, body: dict, nose: dict) -> None:
     """Draw another robot of a team (T, 6), as of ``other_robots``: path, last pose and goal."""
     line: Any = dict(linewidth=1.4, linestyle="--")
-    axes.plot(*robot[:, :2].T, color=colors.ROBOT, zorder=8, **line)
+    path = robot[:, :2]
+    axes.plot(*path.T, color=colors.ROBOT, zorder=8, **line)
     x, y, heading_x, heading_y, goal_x, goal_y = map(float, robot[-1])
     length = 2.2 * radius
+    tip_x = x + length * heading_x
+    tip_y = y + length * heading_y
+    goal = goal_x, goal_y
     _draw_circle(axes, (x, y), radius, **body)
-    axes.plot([x, x + length * heading_x], [y, y + length * heading_y], **nose)
-    _draw_circle(axes, (goal_x, goal_y), 0.75, facecolor="none", edgecolor=colors.ROBOT, zorder=10, **line)
-    _draw_circle(axes, (goal_x, goal_y), 0.28, facecolor=colors.ROBOT, edgecolor="none", zorder=10)
+    axes.plot([x, tip_x], [y, tip_y], **nose)
+    _draw_circle(axes, goal, 0.75, facecolor="none", edgecolor=colors.ROBOT, zorder=10, **line)
+    _draw_circle(axes, goal, 0.28, facecolor=colors.ROBOT, edgecolor="none", zorder=10)
 
 
 def _draw_path(axes: Axes, path: np.ndarray, shades: list[str]) -> None:
@@ -307,12 +362,14 @@ def _draw_path(axes: Axes, path: np.ndarray, shades: list[str]) -> None:
     from matplotlib.collections import LineCollection
 
     axes.plot(*path.T, color=colors.PAPER, linewidth=5.0, solid_capstyle="round", zorder=8)
-    changes = [shade != before for shade, before in zip(shades[1:], shades[:-1], strict=True)]
-    starts = np.flatnonzero([True, *changes])
+    starts = [0]
+    for step in range(1, len(shades)):
+        if shades[step] != shades[step - 1]:
+            starts.append(step)
     ends = [*starts[1:], len(path)]
     runs = [path[max(start - 1, 0) : end] for start, end in zip(starts, ends, strict=True)]
-    style: Any = dict(linewidths=3.0, zorder=9, capstyle="butt")
-    axes.add_collection(LineCollection(runs, colors=[shades[start] for start in starts], **style))
+    run_colors = [shades[start] for start in starts]
+    axes.add_collection(LineCollection(runs, colors=run_colors, linewidths=3.0, zorder=9, capstyle="butt"))
 
 
 def _draw_circle(axes: Axes, center: tuple[float, float], radius: float, **style: Any) -> None:
@@ -328,8 +385,9 @@ def _point(place: ArrayLike) -> tuple[float, float]:
 
 def other_robots(frames: Trajectory) -> np.ndarray:
     """(R, T, 6) of the other robots of a team, as ``Trajectory.robots``; R is 0 without a team."""
-    robots = np.zeros((len(frames.position), 0, 6)) if frames.robots is None else np.asarray(frames.robots)
-    return robots.swapaxes(0, 1)
+    if frames.robots is None:
+        return np.zeros((0, len(frames.position), 6))
+    return np.asarray(frames.robots).swapaxes(0, 1)
 
 
 def draw_scale(axes: Axes, environment: Environment) -> None:
@@ -337,10 +395,12 @@ def draw_scale(axes: Axes, environment: Environment) -> None:
     x0, y0, x1, _ = map(float, np.asarray(environment.floor))
     span = x1 - x0
     max_length = max(0.15 * span, 0.5)
-    bar = max(length for length in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if length <= max_length)
+    lengths = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+    bar = max(length for length in lengths if length <= max_length)
     y = y0 - 0.030 * span
     tick = y + 0.008 * span
-    axes.plot([x0, x0, x0 + bar, x0 + bar], [tick, y, y, tick], color=colors.MUTED, linewidth=1.1, zorder=5)
+    end = x0 + bar
+    axes.plot([x0, x0, end, end], [tick, y, y, tick], color=colors.MUTED, linewidth=1.1, zorder=5)
     axes.text(x0, y - 0.010 * span, f"{bar:g} m", fontsize=8, color=colors.MUTED, ha="left", va="top", zorder=5)
 
 
@@ -351,7 +411,9 @@ def draw_heat(axes: Axes, environment: Environment, density: np.ndarray, label: 
 
     x0, y0, x1, y1 = map(float, np.asarray(environment.floor))
     busy = density[density > 0]
-    highest = float(np.quantile(busy, 0.97)) if busy.size else 1.0
+    highest = 1.0
+    if busy.size:
+        highest = float(np.quantile(busy, 0.97))
     image = axes.imshow(
         density,
         extent=(x0, x1, y0, y1),
@@ -363,12 +425,15 @@ def draw_heat(axes: Axes, environment: Environment, density: np.ndarray, label: 
         zorder=1,
     )
     span = x1 - x0
-    bounds = (x1 - 0.38 * span, y0 - 0.034 * span, 0.38 * span, 0.014 * span)
+    width = 0.38 * span
+    bounds = (x1 - width, y0 - 0.034 * span, width, 0.014 * span)
     below = axes.inset_axes(bounds, transform=axes.transData)
     bar = axes.get_figure().colorbar(image, cax=below, orientation="horizontal", extend="max", ticks=MaxNLocator(3))  # pyright: ignore[reportOptionalMemberAccess]
     bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
     below.tick_params(size=0, labelsize=7.5, labelcolor=colors.MUTED, pad=2)
-    axes.text(x1 - 0.40 * span, y0 - 0.027 * span, label, fontsize=7.5, color=colors.MUTED, ha="right", va="center")
+    label_x = x1 - 0.40 * span
+    label_y = y0 - 0.027 * span
+    axes.text(label_x, label_y, label, fontsize=7.5, color=colors.MUTED, ha="right", va="center")
 
 
 def draw_flow(axes: Axes, environment: Environment, graph: BehaviorGraph, flow: np.ndarray) -> None:
@@ -383,22 +448,26 @@ def draw_flow(axes: Axes, environment: Environment, graph: BehaviorGraph, flow: 
     span = x1 - x0
     flow_max = float(flow.max(initial=0.0))
     position = np.asarray(graph.position, float)
-    widest = min(MAX_BAND[0] * float(np.mean(graph.radius)), MAX_BAND[1] * span)
+    mean_radius = float(np.mean(graph.radius))
+    widest = min(MAX_BAND[0] * mean_radius, MAX_BAND[1] * span)
+    narrowest = MIN_BAND * span
     bands = []
     for u, v in np.argwhere(flow > 0):
-        width = max(widest * float(flow[u, v]) / flow_max, MIN_BAND * span)
-        bands.append(_band(position[u], position[v], width))
+        width = widest * float(flow[u, v]) / flow_max
+        bands.append(_band(position[u], position[v], max(width, narrowest)))
 
     # The widest band explains the others, below the floor.
-    corner = np.array([x0 + 0.19 * span, y0 - 0.027 * span + 0.5 * widest])
-    bands.append(_band(corner, corner + np.array([0.05 * span, 0.0]), widest))
+    label_y = y0 - 0.027 * span
+    start = np.array([x0 + 0.19 * span, label_y + 0.5 * widest])
+    end = start + np.array([0.05 * span, 0.0])
+    bands.append(_band(start, end, widest))
     style: Any = dict(facecolors=colors.FLOW, edgecolors=colors.FLOOR, linewidths=0.5, alpha=0.7, zorder=4)
     collection = PolyCollection(bands, **style)
     collection.set_clip_on(False)
     axes.add_collection(collection)
     axes.plot(*position.T, linestyle="", marker="o", markersize=3.5, color=colors.FLOW_EDGE, zorder=5)
     label = f"{flow_max:.3g} people a minute"
-    axes.text(x0 + 0.25 * span, y0 - 0.027 * span, label, fontsize=7.5, color=colors.MUTED, ha="left", va="center")
+    axes.text(x0 + 0.25 * span, label_y, label, fontsize=7.5, color=colors.MUTED, ha="left", va="center")
 
 
 def _band(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
@@ -406,8 +475,10 @@ def _band(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
     along = end - start
     length = max(float(np.hypot(*along)), 1e-9)
     along = along / length
-    right = np.array([along[1], -along[0]]) * width
-    tip = end - along * min(1.5 * width, 0.5 * length)
+    x, y = along
+    right = np.array([y, -x]) * width
+    tip_length = min(1.5 * width, 0.5 * length)
+    tip = end - along * tip_length
     return np.stack([start, start + right, tip + right, end, end])
 
 
@@ -435,7 +506,8 @@ def draw_legend(axes: Axes, graph: bool, frames: Trajectory | None, situations: 
         return
 
     handles, labels = zip(*entries, strict=True)
-    columns = max(5 if frames is not None else 4, -(-len(entries) // 3))  # three rows fit below the floor
+    columns = 4 if frames is None else 5
+    columns = max(columns, -(-len(entries) // 3))  # three rows fit below the floor
     legend = axes.legend(
         handles, labels, loc="lower right", bbox_to_anchor=(1.0 - MARGIN, 0.0),
         ncols=columns, fontsize=7.5 if columns < 6 else 6.5,
@@ -448,11 +520,12 @@ def draw_legend(axes: Axes, graph: bool, frames: Trajectory | None, situations: 
 
 def _episode_marks() -> list[tuple[Any, str]]:
     """Marks and labels of robot and people."""
-    goal = mark("o", "none", colors.ROBOT, 8.5), mark("o", colors.ROBOT, colors.ROBOT, 3)
+    ring = mark("o", "none", colors.ROBOT, 8.5)
+    disc = mark("o", colors.ROBOT, colors.ROBOT, 3)
     return [
         (mark("o", colors.ROBOT, colors.ROBOT_EDGE, 6.5), "robot"),
         (mark("o", colors.PAPER, colors.ROBOT, 6.5), "start"),
-        (goal, "goal"),
+        ((ring, disc), "goal"),
         (mark("o", colors.PERSON, colors.PERSON_EDGE, 6.5), "person"),
         (mark("o", colors.MEMBER, colors.PERSON_EDGE, 6.5), "in a group"),
     ]
@@ -462,13 +535,14 @@ def _situation_marks(frames: Trajectory, situations: Sequence[str]) -> list[tupl
     """Lines and names of the situations that occurred."""
     from matplotlib.lines import Line2D
 
-    occurred = set(situation_indices(frames).tolist())
-    shades = [*zip(situations, colors.situation_colors(situations), strict=True), ("none", colors.NO_SITUATION)]
-    return [
-        (Line2D([], [], color=color, linewidth=3), name.replace("_", " "))
-        for index, (name, color) in enumerate(shades)
-        if index in occurred
-    ]
+    names = [*situations, "none"]
+    shades = [*colors.situation_colors(situations), colors.NO_SITUATION]
+    marks = []
+    for index in sorted(set(situation_indices(frames).tolist())):
+        line = Line2D([], [], color=shades[index], linewidth=3)
+        label = names[index].replace("_", " ")
+        marks.append((line, label))
+    return marks
 
 
 def _graph_marks() -> list[tuple[Any, str]]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sean_jax.core.messages import shorten
 from sean_jax.robots.foreign_links import LinkShape
 from sean_jax.robots.importing import ImportedRobot, outline
 
@@ -55,12 +56,8 @@ def _draw_numbers(axes: Axes, robot: ImportedRobot) -> None:
     for index, (name, value, source) in enumerate(rows):
         y = 1.0 - (index + 0.5) / max(len(rows), 14)
         axes.text(0.0, y, name, fontsize=9, va="center", color="#444444", transform=axes.transAxes)
-        axes.text(0.36, y, _short(value, 26), fontsize=9, va="center", weight="bold", transform=axes.transAxes)
-        axes.text(0.64, y, _short(source, 48), fontsize=7.5, va="center", color="#666666", transform=axes.transAxes)
-
-
-def _short(text: str, length: int) -> str:
-    return text if len(text) <= length else text[: length - 3] + "..."
+        axes.text(0.36, y, shorten(value, 26), fontsize=9, va="center", weight="bold", transform=axes.transAxes)
+        axes.text(0.64, y, shorten(source, 48), fontsize=7.5, va="center", color="#666666", transform=axes.transAxes)
 
 
 def _draw_outline(axes: Axes, shape: LinkShape, columns: tuple[int, int]) -> None:

@@ -272,7 +272,9 @@ def _announce(
     plan: RunPlan, stacks: list[Stack[Scenario]], policy: Policy, folder: RunFolder, console: Console
 ) -> None:
     """Print what will be simulated."""
-    config, floors, wanted = plan.config, stacks[0], plan.scenario.floors
+    config = plan.config
+    floors = stacks[0]
+    wanted = plan.scenario.floors
     tasks = [each.member.task_name for each in stacks]
     robots_of_team = floors.names if plan.scenario.team else ()
     title = results.title(floors.member, tasks, config.episodes, floors.size if wanted > 1 else 0, robots_of_team)
@@ -297,7 +299,8 @@ def _schedule(plan: RunPlan, stacks: list[Stack[Scenario]]) -> Schedule:
 
 def batch_size(episodes: int, largest: int, stacks: list[Stack[Scenario]]) -> int:
     """Episodes of a batch; of several floors, a batch has whole turns if there is another batch."""
-    size, tasks = min(episodes, largest), len(stacks)
+    size = min(episodes, largest)
+    tasks = len(stacks)
     if stacks[0].size == 1 or size == episodes:
         return size
     period = tasks * stacks[0].size
@@ -332,7 +335,9 @@ class _Simulator:
 
     def __init__(self, stacks: list[Stack[Scenario]], policy: Policy, schedule: Schedule, context: RunContext) -> None:
         bar, console, folder, self.live, self.driver = context
-        self.bar, self.folder, self.schedule = bar, folder, schedule
+        self.bar = bar
+        self.folder = folder
+        self.schedule = schedule
         self.scenario = stacks[0].member
         rows = schedule.batch * schedule.robots
         keeps_all = folder is not None and folder.trajectories is not None
@@ -345,12 +350,14 @@ class _Simulator:
             console.print(f"[dim]compiled in {self.runner.compile_seconds:.1f} s[/]", highlight=False)
 
         bar.start("simulating", -(-schedule.episodes // schedule.batch) * self.scenario.time_limit)
-        self.began, self.simulated = time.perf_counter(), 0.0  # s, s of finished batches
+        self.began = time.perf_counter()  # s
+        self.simulated = 0.0  # s of finished batches
 
     def simulate(self, first: int, count: int) -> FinishedBatch:
         """The batch of ``count`` rows from number ``first`` on, saved in the folder."""
         start = time.perf_counter()
-        chunks, receivers = list[Trajectory](), list[Callable[[Trajectory], None]]()
+        chunks = list[Trajectory]()
+        receivers = list[Callable[[Trajectory], None]]()
         with contextlib.ExitStack() as stack, interrupts.unwrapped():
             if first == 0:
                 receivers.append(lambda chunk: chunks.append(self._shown(chunk)))
@@ -415,7 +422,8 @@ def _join(
     compile_seconds: float,
 ) -> Evaluation:
     """The evaluation of all batches; ``wanted`` is the number of rows of all."""
-    floors, first = stacks[0], stacks[0].member
+    floors = stacks[0]
+    first = stacks[0].member
     totals = [batch.totals for batch in batches]
     steps = np.concatenate([batch.steps for batch in batches])  # (E,)
 

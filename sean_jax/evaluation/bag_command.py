@@ -72,7 +72,8 @@ def with_sensors(floors: Stack[Scenario], names: str | None) -> Stack[Scenario]:
         InputError: a sensor is unknown, or the robot lacks its mount.
     """
     member = floors.member
-    robot, own = member.robot, {sensor.name for sensor in member.sensors}
+    robot = member.robot
+    own = {sensor.name for sensor in member.sensors}
     if names is None:
         more = ["lidar"] if any(mount.name == "lidar" for mount in robot.mounts) else []
     else:

@@ -74,7 +74,8 @@ def record(floors: Stack[Scenario], size: int, frames: int = FRAMES) -> Record:
 
 
 def _init(cells: tuple[int, int] | None, floors: Stack[Scenario], states: State) -> Totals:
-    scenario, size = floors.member, states.tick.shape[0]
+    scenario = floors.member
+    size = states.tick.shape[0]
     graph = None if cells is None else graph_of(scenario)
     nodes = 0 if graph is None else len(graph.names)
     groups = (0,) if cells is None else states.groups.radius.shape[-1:]
@@ -122,7 +123,8 @@ def _depth(scenario: Scenario, people: Array) -> Array:
     x, y = people[..., 0], people[..., 1]
     distance, _, _ = jax.vmap(geometry.from_box, (None, None, 0))(x, y, scenario.environment.obstacles)
     edge = geometry.to_border(scenario.environment, x, y)
-    return scenario.forces.walking.radius - jnp.minimum(jnp.min(distance, 0, initial=jnp.inf), edge)
+    nearest = jnp.min(distance, 0, initial=jnp.inf)  # (N,)
+    return scenario.forces.walking.radius - jnp.minimum(nearest, edge)
 
 
 def _on_floor(
@@ -133,7 +135,8 @@ def _on_floor(
     cell = density.cell_of(scenario.environment, cells, frames.people)
 
     # Edges of the graph that people have walked.
-    node, walks = totals.node, totals.walks
+    node = totals.node
+    walks = totals.walks
     if (graph := graph_of(scenario)) is not None:
         node, walked = jax.vmap(density.track_nodes, (None, 0, 0, 0))(graph, totals.node, frames.people, present)
         walks = walks.at[totals.node, node].add((walked & active[:, None]).astype(jnp.int32))
@@ -199,7 +202,9 @@ class BatchFrames:
     """Frames of all episodes of a batch on disk, so that memory holds one chunk of time."""
 
     def __init__(self, folder: Path, count: int, steps: int):
-        self.folder, self.count, self.steps = folder, count, steps
+        self.folder = folder
+        self.count = count
+        self.steps = steps
         self.done = 0
         self.arrays: dict[str, np.ndarray] = {}
 
@@ -291,8 +296,11 @@ class RunFolder:
             robots: of a team; an episode has as many rows.
             trajectories: ending of files with the frames of all episodes; None for none.
         """
-        self.folder, self.place, self.complete = folder, folder / PLACE, False
-        self.trajectories, self.robots = trajectories, robots
+        self.folder = folder
+        self.place = folder / PLACE
+        self.complete = False
+        self.trajectories = trajectories
+        self.robots = robots
         self.work = Workspace(folder, identity, IDENTITY)
         check_run_folder(folder, locked=True)
         self.work.begun()
@@ -319,7 +327,8 @@ class RunFolder:
         Raises:
             FileError: its file is damaged.
         """
-        file, frames = self._file(base, count), self.frames(base, count)
+        file = self._file(base, count)
+        frames = self.frames(base, count)
         if not file.is_file() or (frames is not None and not frames.exists()):
             return None
         arrays = files.read_arrays(file)
@@ -472,7 +481,8 @@ def _check_arrays(arrays: dict[str, np.ndarray], count: int) -> None:
         group, _, field = name.partition(":")
         kind, dimensions = SHAPES.get(f"frame:{field}" if group.startswith("frame") else name, ("", ""))
         if group == "metrics":
-            kind, dimensions = "biuf", "B F"[: 2 * values.ndim - 1]
+            kind = "biuf"
+            dimensions = "B F"[: 2 * values.ndim - 1]
         if not kind:
             raise ValueError(f"{name} is none of them")
 

@@ -94,10 +94,12 @@ class ComparedFigure(NamedTuple):
 
     def texts(self) -> tuple[str, str, str, str]:
         """Both means, the difference, and its interval, which is empty where both ends are the same."""
-        scale, digits = 100.0 if self.figure.unit == "%" else 1.0, self.figure.digits
+        scale = 100.0 if self.figure.unit == "%" else 1.0
+        digits = self.figure.digits
         one, other = (f"{scale * mean:.{digits}f}" for mean in self.values[:2])
-        middle, *ends = (_signed(scale * value, digits) for value in self.values[2:5])
-        return one, other, middle, "" if ends[0] == ends[1] else " to ".join(ends)
+        middle, low, high = (_signed(scale * value, digits) for value in self.values[2:5])
+        interval = "" if low == high else f"{low} to {high}"
+        return one, other, middle, interval
 
 
 def _signed(value: float, digits: int) -> str:
@@ -125,7 +127,8 @@ def compare(options: CompareConfig, console: Console) -> Path:
     runs = []
     for folder, name in zip(options.runs, names, strict=True):
         runs.append(read_run(folder, name if names.count(name) == 1 else str(folder)))
-    views, words = differences(runs), summarize(runs)
+    views = differences(runs)
+    words = summarize(runs)
     if options.situation not in views:
         raise InputError(f"--situation: '{options.situation}' is not one of {', '.join(views)}.")
 
@@ -255,7 +258,9 @@ def _row(first: SavedRun, second: SavedRun, column: str, common: int) -> Compare
     """A figure of two runs, of which the first ``common`` episodes are the same; None without values."""
     name = column.partition("__")[0]
     figure = _figure(name, first)
-    values, cut_values, is_cut = [], [], False
+    values = []
+    cut_values = []
+    is_cut = False
     for run in (first, second):
         rows = run.columns[column][: common * run.robots or None]
         if figure.completed_only:
@@ -304,7 +309,8 @@ def summarize(runs: Sequence[SavedRun]) -> str:
     first, *others = runs
     sentences = []
     for other in others:
-        number, names = paired(first, other), differing_options(first, other)
+        number = paired(first, other)
+        names = differing_options(first, other)
         subject = f"{other.name} and {first.name}" if len(others) > 1 else "The runs"
         episodes = "have different episodes, so their means are compared"
         if number:
@@ -336,10 +342,13 @@ def _table(rows: list[ComparedFigure], first: str, second: str) -> Table:
     body = [(*row.texts(), SYMBOLS[row.verdict] if row.tested else SAME) for row in rows]
     for k, name in enumerate((first, second, "change", "95 % interval", "")):
         width = max((len(texts[k]) for texts in body), default=0)
+        least_width = 6 if name else 0
         justify = "right" if name else "left"
-        lines.add_column(Text(name, overflow="fold"), justify=justify, width=max(width, 6 if name else 0))
+        lines.add_column(Text(name, overflow="fold"), justify=justify, width=max(width, least_width))
     for row, texts in zip(rows, body, strict=True):
-        head = Text.assemble(row.figure.title, (f" {row.figure.unit}" if row.figure.unit else "", "dim"))
+        figure = row.figure
+        unit = f" {figure.unit}" if figure.unit else ""
+        head = Text.assemble(figure.title, (unit, "dim"))
         lines.add_row(head, *(Text(text, "bold" if row.clear else "") for text in texts))
     return lines
 
@@ -402,9 +411,11 @@ class _Side(NamedTuple):
 
     def at(self, row: ComparedFigure, value: float) -> float:
         """The place of a difference or an end of its interval in a plot, from -1 to 1."""
-        size = (
-            value / row.values.deviation if row.values.deviation else math.copysign(math.inf, value) if value else 0.0
-        )
+        deviation = row.values.deviation
+        if deviation:
+            size = value / deviation
+        else:
+            size = math.copysign(math.inf, value) if value else 0.0
         return max(-1.0, min(1.0, size / self.scale))
 
 

@@ -37,15 +37,19 @@ def _print(console: Console, name: str, text: str) -> None:
     if not console.is_terminal:
         console.print(Text(name + text), soft_wrap=True)
         return
+
     # Behind the name if there is room, else below it.
-    width, indent = console.width - len(name), len(name)
+    indent = len(name)
+    width = console.width - indent
     if width >= 30:
         first, *more = textwrap.wrap(text, width)
     else:
-        first, indent = "", 4
+        first = ""
+        indent = 4
         more = textwrap.wrap(text, max(20, console.width - indent))
     lines = [first, *(" " * indent + line for line in more)]
-    console.print(Text.assemble((name, "bold cyan"), "\n".join(lines)), soft_wrap=True)
+    paragraph = Text.assemble((name, "bold cyan"), "\n".join(lines))
+    console.print(paragraph, soft_wrap=True)
 
 
 def choices() -> Iterator[tuple[str, dict[str, str]]]:
@@ -79,7 +83,9 @@ def _lines(family: Mapping[str, Any]) -> dict[str, str]:
     def line(value: Any) -> str:
         functions = [value] if callable(value) else filter(callable, vars(value).values())
         texts = filter(None, map(inspect.getdoc, functions))
-        return _sentence(next(texts, "").split("\n\n")[0])
+        first_text = next(texts, "")
+        paragraph = first_text.split("\n\n")[0]
+        return _sentence(paragraph)
 
     return _each(family, line)
 
@@ -116,7 +122,11 @@ def _randomization(randomization: Any) -> str:
 
 
 def _forces(forces: Any) -> str:
-    speed, spread = float(forces.walking.speed_mean), float(forces.walking.speed_deviation)
-    law, reach = forces.repulsion.law.__name__.capitalize(), float(forces.repulsion.range)
-    strength = f"{float(forces.repulsion.strength):.3g} m/s² that falls by e in {reach:.3g} m"
+    walking = forces.walking
+    repulsion = forces.repulsion
+    speed = float(walking.speed_mean)
+    spread = float(walking.speed_deviation)
+    law = repulsion.law.__name__.capitalize()
+    reach = float(repulsion.range)
+    strength = f"{float(repulsion.strength):.3g} m/s² that falls by e in {reach:.3g} m"
     return f"{law} repulsion of {strength} acts between people, who walk at {speed:.2f} ± {spread:.2f} m/s."

@@ -66,7 +66,8 @@ def write(options: ReplayConfig, console: Console) -> Path:
         InputError: the folder has no episodes, or none of that number.
         FloatingPointError: a number is not finite.
     """
-    folder, numbers = options.folder, list(dict.fromkeys(options.episodes))
+    folder = options.folder
+    numbers = list(dict.fromkeys(options.episodes))
     if options.only is not None:
         raise InputError(f"only: {folder} holds no tests of `sean validate`; name episodes with --episodes.")
     path = options.out or folder / "replay.html"
@@ -79,7 +80,8 @@ def write(options: ReplayConfig, console: Console) -> Path:
     episodes: dict[int, list[replay.ReplayEpisode]] = {}
     for number, episode in _simulate(source, numbers, console):
         episodes.setdefault(source.place(number), []).append(episode)
-    title, first = folder.resolve().name, source.floors[0]
+    title = folder.resolve().name
+    first = source.floors[0]
     players = []
     for place, on_floor in episodes.items():
         name = first.names[place].replace("_", " ") if first.size > source.robots and first.names else ""
@@ -91,7 +93,8 @@ def write(options: ReplayConfig, console: Console) -> Path:
 
 def _simulate(source: ReplaySource, numbers: list[int], console: Console) -> Iterator[tuple[int, replay.ReplayEpisode]]:
     """Each number with its episode, simulated alone."""
-    floors, robots = source.floors[0], source.robots
+    floors = source.floors[0]
+    robots = source.robots
     record = batches.record(floors, robots)
     record = record if source.ends is None else until_terminated(record, source.ends)
     runner = Runner(source.floors, source.policy, 1, source.use, record)
@@ -115,7 +118,8 @@ def with_progress(runner: Runner, numbers: list[int], bar: Progress) -> Iterator
 
 def _episode(source: ReplaySource, number: int, batch: Batch) -> replay.ReplayEpisode:
     """The episode of a number, with its name and its end in words."""
-    floors, robots = source.floors[0], source.robots
+    floors = source.floors[0]
+    robots = source.robots
     frames = batches.episode_frames(batch.rows, robots, robots)[0]  # of the first robot, with the others
     seconds = min(len(frames.active), int(batch.steps[0])) * floors.member.time_step
     if len(frames.active) < batch.steps[0]:
@@ -161,9 +165,13 @@ def _of_run(folder: Path, numbers: list[int]) -> ReplaySource:
     _check(numbers, config.episodes, folder)
     plan = plan_scenario(config, config.team or None)
     stacks = making.build(plan, -(-config.episodes // len(plan.tasks)))
-    floors, count, robots = stacks[0], len(stacks), len(plan.team) or 1
-    policy, content = load_policies(config.policies, floors.member), floors if floors.size > 1 else floors.member
-    ended, step = _ended(folder / "episodes.csv", robots), floors.member.time_step
+    floors = stacks[0]
+    count = len(stacks)
+    robots = len(plan.team) or 1
+    policy = load_policies(config.policies, floors.member)
+    content = floors if floors.size > 1 else floors.member
+    ended = _ended(folder / "episodes.csv", robots)
+    step = floors.member.time_step
     cause = _cause(before.versions, before.fingerprint, fingerprint(content, policy.params))
 
     def deviation(number: int, steps: int) -> str:
@@ -209,7 +217,9 @@ def _of_dataset(folder: Path, numbers: list[int]) -> ReplaySource:
     from sean_jax.learning.dataset import open_dataset  # which needs the extra "learning"
 
     data = open_dataset(folder)
-    manifest, size, config = data.manifest, data.batch, data.description()
+    manifest = data.manifest
+    size = data.batch
+    config = data.description()
     _check(numbers, size * len(manifest["shards"]), folder)
     parts = stream_floors(config)
     stacks = list(parts.values())
@@ -255,9 +265,11 @@ def _of_training(folder: Path, numbers: list[int]) -> ReplaySource:
             f"episodes: they take turns in {len(envs)} environments, and those are in {names}; ask for one's."
         )
     place = turns.pop()
-    scenario, envs_on_floors = scenarios[place], envs[place]
+    scenario = scenarios[place]
+    envs_on_floors = envs[place]
     floors = envs_on_floors.map_member(lambda each: dataclasses.replace(each.scenario, metrics=scenario.metrics))
-    mdp_env, count = envs_on_floors.member, len(envs)
+    mdp_env = envs_on_floors.member
+    count = len(envs)
     return ReplaySource(
         floors=[floors],
         policy=load(folder, scenario),

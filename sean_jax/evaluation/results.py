@@ -138,7 +138,8 @@ class Evaluation:
         shares = {}
         for bit, name in enumerate(self.situations):
             inside = sets >> bit & 1 == 1
-            alone, among_others = times[inside & (sizes == 1)], times[inside & (sizes > 1)]
+            alone = times[inside & (sizes == 1)]
+            among_others = times[inside & (sizes > 1)]
             shares[name] = float(alone.sum()), float(among_others.sum())
         shares["none"] = float(times[0]), 0.0
         shares["several"] = 0.0, float(times[sizes > 1].sum())
@@ -272,7 +273,8 @@ def write_all(folder: Path, evaluation: Evaluation, plan: RunPlan | None = None,
 
 def _animate(folder: Path, evaluation: Evaluation, camera: str | None) -> None:
     """Write animations of the first episode: from above, and as a camera sees it."""
-    scenario, frames = evaluation.place(0), evaluation.frames[0]
+    scenario = evaluation.place(0)
+    frames = evaluation.frames[0]
     drawing.animate(
         scenario.environment,
         frames,
@@ -376,7 +378,8 @@ def report_page(
     """
     against = compare.differences(runs)[compare.OVERALL][0] if runs else []
     rows = table.table_rows(summary, evaluation.definitions, complete=True)
-    by_name, topics = {row.name: row for row in rows}, dict[str, list[table.MeasureRow]]()
+    by_name = {row.name: row for row in rows}
+    topics = dict[str, list[table.MeasureRow]]()
     for row in rows:
         topic = EPISODE if row.name in table.EPISODE_FIGURES else metrics.topic(row.name)
         topics.setdefault(topic, []).append(row)
@@ -466,7 +469,8 @@ def _people(evaluation: Evaluation) -> list[tuple[str, str]]:
     """Where people were, and the behavior graph, with captions; nothing of several floors."""
     if evaluation.floors:
         return []
-    environment, graph = evaluation.scenario.environment, drawing.graph_of(evaluation.scenario)
+    environment = evaluation.scenario.environment
+    graph = drawing.graph_of(evaluation.scenario)
     seconds = max(float(evaluation.seconds.sum()), 1e-9)
     x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
     density = evaluation.heat * evaluation.heat.size / ((x1 - x0) * (y1 - y0) * seconds)
@@ -481,8 +485,10 @@ def _people(evaluation: Evaluation) -> list[tuple[str, str]]:
 
 
 def _checks(summary: dict[str, Any]) -> dict[str, str]:
-    checks, timing = summary["checks"], summary["timing"]
-    groups, facts = checks.get("largest_groups"), {}
+    checks = summary["checks"]
+    timing = summary["timing"]
+    groups = checks.get("largest_groups")
+    facts = {}
     if groups is not None:
         facts["most people in each group"] = ", ".join(map(str, groups)) or "there are no groups"
     return {
@@ -505,7 +511,9 @@ def _durations(evaluation: Evaluation) -> str:
 
     # Bars of a picture whose axes meet at (left, base), in pixels.
     highest = max(1, int((completed + late).max()))
-    left, base, width = 36.0, 160.0, 668.0 / len(completed)
+    left = 36.0
+    base = 160.0
+    width = 668.0 / len(completed)
     scale = 140.0 / highest
     bars = []
     for k, (lower, upper) in enumerate(zip(scale * completed, scale * late, strict=True)):

@@ -2,6 +2,7 @@
 
 import array
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,14 +10,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sean_jax.config import user_parts
-from sean_jax.config.input_files import rename
+from sean_jax.config.input_files import rename, texts
 from sean_jax.core.bounds import MAX_DURATION, MAX_MAGNITUDE
 from sean_jax.core.errors import FileError, InputError
+from sean_jax.core.messages import listed
 from sean_jax.io import files
 from sean_jax.metrics import METRICS
 
 MAX_FILE = 100_000_000  # bytes of a file, such as a recording
-OPTIONS = ("environment", "robot", "forces", "sensors", "policy", "behavior")  # that name files
+OPTIONS = (
+    *("environment", "robot", "forces", "sensors", "policy", "behavior"),
+    *("labels", "pretrained", "imitate", "laws", "randomization"),  # of collect and train
+)
+"""The options that name files."""
+
+RECORDED = ("$schema", "command", "config", "copies", "sha256", "fingerprint", "people", "versions")
+"""The keys of a config.yaml with what a run records; its options are in ``config``."""
 
 LIMITS = {"episode": (0, 2**31), "completed": (0, 1), "timed_out": (0, 1), "seconds": (0, MAX_DURATION)}
 """Column of episodes.csv -> least and most; none of its cells is empty."""
@@ -37,6 +46,7 @@ class SavedConfig(NamedTuple):
     identities: dict[str, str]  # file or folder of the description -> digests of its content
     fingerprint: str  # of the scenario and the policy; "" if the file has none
     versions: dict[str, str]  # package -> version; {} if the file has none
+    is_run: bool  # whether `sean run` wrote the file
 
 
 def read_config(path: Path, check: bool = True) -> SavedConfig:
@@ -50,18 +60,25 @@ def read_config(path: Path, check: bool = True) -> SavedConfig:
     """
     _, content = files.read_yaml(path)
     if not isinstance(content, dict):
-        raise InputError(f"{path}: holds no description; give a config.yaml, such as `sean run` writes.")
+        raise InputError(f"{path}: holds no description; write key: value lines, such as people: 8.")
     if "made by" in content:
         raise InputError(f"{path}: was made by {content['made by']}; put the parts into separate files.")
+    if "command" in content and "config" not in content:
+        raise InputError(f"{path}: records a command and is no file of options; repeat that command.")
     saved = content.get("config", {name: value for name, value in content.items() if name != "$schema"})
     if not isinstance(saved, dict):
         raise InputError(f"{path}: config: holds no description; give field: value lines.")
+    for key in content:
+        if check and "config" in content and key not in RECORDED:
+            raise InputError(f"{path}: {key}: stands beside config, where nothing reads it; write it into config.")
 
-    hashes, copies = _texts(path, content, "sha256", "digest"), _texts(path, content, "copies", "copy")
+    hashes = _texts(path, content, "sha256", "digest")
+    copies = _texts(path, content, "copies", "copy")
     code = {name: digest for name, digest in hashes.items() if name.endswith(".py")}
     if check:
         _check_files(path, {name: digest for name, digest in hashes.items() if name not in code})
     description = user_parts.recorded(path, saved, code if check else None, "sha256")
+    description = rename_files(description, _beside(path, description))
     description = rename_files(description, {name: str(path.parent / copy) for name, copy in copies.items()})
     versions = content.get("versions")
     return SavedConfig(
@@ -69,13 +86,28 @@ def read_config(path: Path, check: bool = True) -> SavedConfig:
         identities=_identities(path.parent, code, copies, hashes),
         fingerprint=str(content.get("fingerprint", "")),
         versions=versions if isinstance(versions, dict) else {},
+        is_run=str(content.get("command", "")).startswith("sean run "),
     )
+
+
+def _beside(path: Path, description: Mapping[str, Any]) -> dict[str, str]:
+    """Relative path in a description -> its path from here, of what lies beside the file; others are from here."""
+    found = dict[str, str]()
+    for field in OPTIONS:
+        for text in texts(description.get(field)):
+            for name in listed(text):
+                is_path = "/" in name or Path(name).suffix  # else a name of the package
+                if is_path and os.path.exists(path.parent / name):
+                    found[name] = str(path.parent / name)
+    return found
 
 
 def _check_files(path: Path, hashes: Mapping[str, str]) -> None:
     """Refuse files that are not as a config.yaml says."""
     for name, digest in hashes.items():
         file = path.parent / name
+        if not os.path.exists(file):
+            raise InputError(f"{path}: {file} is missing; restore it, and keep {path.name} in the folder of its run.")
         if user_parts.digest(file, MAX_FILE) != digest:
             raise InputError(
                 f"{file}: is not the file that the run was made with; "
@@ -113,7 +145,8 @@ def read_episodes(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
     Raises:
         FileError: the file cannot be read, its episodes do not count from 0, or a value is out of range.
     """
-    rows, name = files.read_rows(path), files.short_name(path)
+    rows = files.read_rows(path)
+    name = files.short_name(path)
     head = next(rows, [])
     for column in ("episode", "task", "completed", "seconds"):
         if column not in head:

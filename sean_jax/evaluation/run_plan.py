@@ -121,25 +121,30 @@ def _read_inputs(config: RunConfig, scenario: ScenarioPlan) -> tuple[InputFiles,
     Raises:
         InputError: a file cannot be read.
     """
-    inputs, names = InputFiles({}, {}, {}), dict[str, str]()
+    inputs = InputFiles({}, {}, {})
+    names = dict[str, str]()
     for option, name, path, sources in _named_files(config, scenario):
         names[name] = name if name in environment.available() else os.path.abspath(path)
         root = Path(os.path.abspath(path if path.is_dir() else path.parent))
         absolute = [Path(os.path.abspath(source)) for source in sources]
-        read = {source: files.read_bytes(source, MAX_FILE) for source in absolute}
+        contents = {source: files.read_bytes(source, MAX_FILE) for source in absolute}
 
         # Large files stay where they are, as do those that a scene reads from elsewhere.
-        is_small = sum(map(len, read.values())) <= MAX_COPY and all(source.is_relative_to(root) for source in read)
-        if option not in COPIED or not is_small:
-            inputs.hashes.update({str(source): sha256(content) for source, content in read.items()})
+        is_small = sum(map(len, contents.values())) <= MAX_COPY
+        is_inside = all(source.is_relative_to(root) for source in contents)
+        if not (option in COPIED and is_small and is_inside):
+            for source, content in contents.items():
+                inputs.hashes[str(source)] = sha256(content)
             continue
 
         count = sum(copy.startswith(option) for copy in inputs.copies.values())
         place = f"{option}_{count + 1}" if count else option
-        inputs.copies[names[name]] = f"{place}/{path.name}"
-        folder = f"{place}/{path.name}" if path.is_dir() else place
-        copies = {f"{folder}/{source.relative_to(root).as_posix()}": content for source, content in read.items()}
-        inputs.content.update(copies)
+        copy = f"{place}/{path.name}"
+        inputs.copies[names[name]] = copy
+        folder = copy if path.is_dir() else place
+        for source, content in contents.items():
+            inside = source.relative_to(root).as_posix()
+            inputs.content[f"{folder}/{inside}"] = content
     return inputs, names
 
 

@@ -73,13 +73,15 @@ def table_rows(summary: dict[str, Any], definitions: Mapping[str, Metric], compl
 def metric_figure(name: str, metric: Metric) -> TableFigure:
     """The title, unit, digits and definition of a metric."""
     unit = "%" if metric.kind == "share" else _UNITS.get(metric.unit, metric.unit)
-    title, definition = metric.title or name.replace("_", " "), metric.definition or MEAN
+    title = metric.title or name.replace("_", " ")
+    definition = metric.definition or MEAN
     return TableFigure(title, unit, metric.digits, definition, metric.better, metric.completed_only, metric.best)
 
 
 def _row(name: str, figure: TableFigure, values: dict[str, Any], columns: list[str]) -> MeasureRow:
     scale = 100.0 if figure.unit == "%" else 1.0
-    cells, intervals = [], []
+    cells = []
+    intervals = []
     for column in columns:
         value = values.get(column)
         cells.append("" if value is None else f"{scale * value['mean']:.{figure.digits}f}")
@@ -138,7 +140,9 @@ def _blocks(widths: list[int], width: int) -> list[tuple[int, int]]:
     ``widths`` are the widths of the columns: overall, in the first block, and the situations.
     """
     overall, *situations = widths
-    blocks, first, remaining = [], 0, width - overall - GAP
+    blocks = []
+    first = 0
+    remaining = width - overall - GAP
     for k, column in enumerate(situations):
         if column + GAP > remaining and k > first:
             blocks.append((first, k))

@@ -99,7 +99,8 @@ def error_sums(student: Student, agent: Agent, demonstrations: Example, weight: 
     observation = examples.observation(student.terms, demonstrations)
     vector = rollouts.flat_observations(student.terms, observation)  # (B, F)
     images = {name: observation[name] for name in student.network.images}
-    memory, start = jnp.zeros((*weight.shape, 0), jnp.float32), jnp.ones(weight.shape, bool)
+    memory = jnp.zeros((*weight.shape, 0), jnp.float32)
+    start = jnp.ones(weight.shape, bool)
     output = networks.apply(student.network, agent, vector, images, memory, start)
 
     # The local plan is compared as long as the episode lasted.
@@ -109,8 +110,9 @@ def error_sums(student: Student, agent: Agent, demonstrations: Example, weight: 
 
     assert agent.command_scale is not None
     error = output.mean - demonstrations.command / agent.command_scale[None]
-    sums = (valid * squared).sum(-1), valid.sum(-1), (error * error).sum(-1), jnp.ones_like(weight)
-    return (weight[:, None] * jnp.stack(sums, -1)).sum(0)
+    of_examples = (valid * squared).sum(-1), valid.sum(-1), (error * error).sum(-1), jnp.ones_like(weight)
+    weighted = weight[:, None] * jnp.stack(of_examples, -1)  # (B, 4)
+    return weighted.sum(0)
 
 
 def losses(sums: Float[Array, "4"]) -> CloningLosses:
@@ -174,7 +176,8 @@ def finish_epoch(
     state: TrainState, training: Float[Array, "4"], validation: Float[Array, "4"]
 ) -> tuple[TrainState, CloningLosses, CloningLosses]:
     """The state at the end of an epoch, whose agent is the best if its loss in validation is the smallest so far."""
-    training_losses, validation_losses = losses(training), losses(validation)
+    training_losses = losses(training)
+    validation_losses = losses(validation)
     state = keep_best(replace(state, update=state.update + 1), -validation_losses.loss)
     return state, training_losses, validation_losses
 
@@ -267,7 +270,8 @@ def imitate(
 ) -> tuple[tuple[Agent, optax.OptState, EnvBatch], Float[Array, ""]]:
     """One update: collect labelled transitions, then learn the labels."""
     agent, optimizer, batch = carry
-    memory, update_key = batch.memory, jax.random.fold_in(key, number)
+    memory = batch.memory
+    update_key = jax.random.fold_in(key, number)
     teacher_drives = number < UPDATES // 2
 
     collect = functools.partial(labelled_step, lesson, agent, teacher_drives, update_key)
@@ -284,10 +288,12 @@ def labelled_step(
     lesson: Lesson, agent: Agent, teacher_drives: Array, key: Array, batch: EnvBatch, tick: Int[Array, ""]
 ) -> tuple[EnvBatch, Transition]:
     """One step of all scenarios, with the teachers' actions in the transitions."""
-    envs, network = lesson.envs, lesson.network
+    envs = lesson.envs
+    network = lesson.network
     output = rollouts.forward(network, agent, envs[0].member.observations, batch)
 
-    labels, states = [], []
+    labels = []
+    states = []
     for env, teacher, env_states in zip(envs, lesson.teachers, batch.envs, strict=True):
         env_labels, env_states = env.vmap(functools.partial(label, teacher))(env_states)
         labels.append(env_labels)

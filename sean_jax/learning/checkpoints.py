@@ -141,7 +141,8 @@ class Checkpoints:
         return self._read_best(read)
 
     def _read_best(self, read: Callable[[int], Result]) -> Result:
-        step, previous = self._best_step(), None
+        step = self._best_step()
+        previous = None
         while step is not None:
             try:
                 return read(step)

@@ -307,7 +307,10 @@ class _Recording:
 
     def __init__(self, data: Dataset, runner: Runner, config: CollectConfig, tell: Progress):
         count = len(data.manifest["streams"])
-        self.data, self.runner, self.config, self.tell = data, runner, config, tell
+        self.data = data
+        self.runner = runner
+        self.config = config
+        self.tell = tell
         self.target_rows = config.rate * stream_seconds(config.hours, count)  # of each stream
         self.total = self.target_rows * count // config.rate  # s
         self.rows = data.stream_rows
@@ -351,7 +354,8 @@ def _due(data: Dataset, recorded: list[int], target_rows: int) -> Iterator[tuple
 
 def _open(config: CollectConfig, parts: dict[str, Stack[Scenario]], policy: Policy, camera: sensors.Camera) -> Dataset:
     """The dataset of the folder, if it was begun with the same description and content, or an empty one."""
-    folder, manifest = config.folder, _manifest(config, parts, policy, camera)
+    folder = config.folder
+    manifest = _manifest(config, parts, policy, camera)
     check_folder(folder)
     if (folder / dataset.MANIFEST).exists():
         data = dataset.open_dataset(folder)
@@ -383,7 +387,8 @@ def _check_same(config: CollectConfig, data: Dataset, manifest: dict[str, Any]) 
     if config.batch not in (None, data.batch):
         raise InputError(f"{data.folder} was begun with --batch {data.batch}, not {config.batch}; ask for the same.")
     if config.hours < data.manifest["hours"]:
-        had_hours, hours = number(data.manifest["hours"]), number(config.hours)
+        had_hours = number(data.manifest["hours"])
+        hours = number(config.hours)
         raise InputError(f"{data.folder} was begun with --hours {had_hours}, not {hours}; ask for as much or more.")
 
 
@@ -391,7 +396,8 @@ def _manifest(
     config: CollectConfig, parts: dict[str, Stack[Scenario]], policy: Policy, camera: sensors.Camera
 ) -> dict[str, Any]:
     stacks = list(parts.values())
-    floors, size = stacks[0], _batch_size(config, stacks)
+    floors = stacks[0]
+    size = _batch_size(config, stacks)
     return {
         "command": _command(config, size),
         "options": config.identity(),
@@ -501,10 +507,13 @@ class Recorder:
         if (steps := round(1.0 / scenario.time_step)) % rate:
             raise InputError(f"rate: {rate} rows per second do not divide its {steps} steps; choose a divisor.")
         folder = Path(folder)
-        self.scenario, self.seed, self.rate = scenario, seed, rate
+        self.scenario = scenario
+        self.seed = seed
+        self.rate = rate
         self.camera = sensors.camera(scenario, "depth", width=width, height=height)
         self.data = self._opened(folder, driver)
-        self._begin, self._step = jax.jit(begin_episode), jax.jit(step)
+        self._begin = jax.jit(begin_episode)
+        self._step = jax.jit(step)
         self._row = jax.jit(lambda scenario, state, command, last: row(scenario, state, command, self.camera, last))
         self.discard()
 
@@ -620,7 +629,8 @@ def record(recorder: Recorder, commands: Callable[[State], Any] | Iterable[Any],
     stream = iter(()) if callable(commands) else iter(commands)
     source = commands if callable(commands) else lambda _: next(stream)
     for _ in range(episodes):
-        state, ended = recorder.begin(), False
+        state = recorder.begin()
+        ended = False
         while not (ended or bool(state.completed | state.timed_out)):
             try:
                 state = recorder.step(source(state))

@@ -60,8 +60,13 @@ def with_costs(terms: rewards.Terms, limits: Mapping[str, float]) -> rewards.Ter
 
 def init(terms: rewards.Terms, limits: Mapping[str, float], agents: int) -> Multipliers | None:
     """Multipliers before the first update, from the weights of ``with_costs``; None without costs."""
-    known, each = dict(terms), lambda value: jnp.full(agents, value, jnp.float32)
-    return {name: Multiplier(each(np.log(-known[name].weight)), each(limit)) for name, limit in limits.items()} or None
+    known = dict(terms)
+    multipliers = {}
+    for name, limit in limits.items():
+        log = jnp.full(agents, np.log(-known[name].weight), jnp.float32)
+        rate = jnp.full(agents, limit, jnp.float32)
+        multipliers[name] = Multiplier(log, rate)
+    return multipliers or None
 
 
 def value(multiplier: Multiplier, limit: float) -> Float[Array, "A"]:

@@ -75,8 +75,10 @@ class CurriculumPlan:
         for name in ("temperature", "ahead"):
             if not 0.0 < getattr(self, name) < float("inf"):
                 raise InputError(f"curriculum: {name} {getattr(self, name):g} must be above 0.")
-        chosen = [weight for _, weight in self.situations or ()]
-        if self.situations is not None and not (sum(chosen) > 0.0 and min(chosen) >= 0.0):
+        if self.situations is None:
+            return
+        weights = [weight for _, weight in self.situations]
+        if not (sum(weights) > 0.0 and min(weights) >= 0.0):
             raise InputError("curriculum: situations need weights of 0 or more, and one above 0.")
 
 
@@ -116,10 +118,11 @@ def social_cost(parts: Mapping[str, Float[Array, "*batch"]]) -> Float[Array, "*b
     Raises:
         InputError: there is no such term.
     """
-    social = [part for name, part in parts.items() if name.startswith(SOCIAL)]
-    if not social:
+    costs = [jnp.maximum(-part, 0.0) for name, part in parts.items() if name.startswith(SOCIAL)]
+    if not costs:
         raise InputError("curriculum: no term of the reward is about people; add one, such as personal_space.")
-    return sum((jnp.maximum(-part, 0.0) for part in social[1:]), jnp.maximum(-social[0], 0.0))
+    first, *others = costs
+    return sum(others, first)
 
 
 # ------------------------------------------------------------------ in a trainer
@@ -154,7 +157,10 @@ def follow(
     """
     if plan is None or curriculum is None:
         return None, {}
-    cost = social_cost(info["rewards"]) if plan.by == "situations" else jnp.zeros(done.shape, float)
+    if plan.by == "situations":
+        cost = social_cost(info["rewards"])
+    else:
+        cost = jnp.zeros(done.shape, float)
     record = StepRecord(info["start"], info["situations"], cost, done, info["episode_return"])
     after = observe(env, plan, curriculum, record)
     return after, {"curriculum": _numbers(env, plan, after)}
@@ -162,9 +168,9 @@ def follow(
 
 def _numbers(env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum) -> dict[str, Array]:
     weights = curriculum.pool.weights.astype(jnp.float32)
-    size = weights.shape[0]
-    replacements = (curriculum.pool.states.start // size).astype(jnp.float32).mean()
-    numbers = {"starts": weights.sum() ** 2 / (weights * weights).sum(), "replaced": replacements}
+    effective = weights.sum() ** 2 / (weights * weights).sum()
+    replacements = curriculum.pool.states.start // len(weights)
+    numbers = {"starts": effective, "replaced": replacements.astype(jnp.float32).mean()}
     if plan.by == "regret":
         return numbers | {"regret": _mean_regret(curriculum)}
     shares = situation_weights(env, plan, curriculum)
@@ -189,9 +195,11 @@ def init(env: mdp.Env, plan: CurriculumPlan, key: Array, size: int, policy: Poli
         if name not in names:
             hint = files.suggest(name, names) or "."
             raise InputError(f"curriculum: situation '{name}' is not one of {', '.join(names)}{hint}")
-    unknown, zero = (jnp.zeros(shape, jnp.float32) for shape in (len(names), ()))
+    unknown = jnp.zeros(len(names), jnp.float32)
+    zero = jnp.zeros((), jnp.float32)
     starts = _draw(env, plan, policy, jax.random.split(key, size))
-    return _weighed(env, plan, Curriculum(**starts, cost=unknown, time=unknown, total_cost=zero, total_time=zero))
+    curriculum = Curriculum(**starts, cost=unknown, time=unknown, total_cost=zero, total_time=zero)
+    return _weighed(env, plan, curriculum)
 
 
 def observe(env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum, record: StepRecord) -> Curriculum:
@@ -201,7 +209,9 @@ def observe(env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum, record: 
     second = jnp.asarray(env.scenario.time_step, jnp.float32)
     situations = record.situations.astype(jnp.float32)  # (T, B, S)
     cost = record.cost.astype(jnp.float32)  # (T, B)
-    starts = _sum_by_start(curriculum, record, situations * second, second)
+    in_situations = situations * second  # (T, B, S) s
+    cost_in_situations = cost[..., None] * situations
+    starts = _sum_by_start(curriculum, record, in_situations, second)
 
     before = jnp.where(curriculum.episodes > 0.0, curriculum.best, starts.best)
     best = jnp.maximum(before, starts.best)
@@ -214,8 +224,8 @@ def observe(env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum, record: 
         curriculum,
         occurs=faded[:, None] * curriculum.occurs + starts.occurs,
         seconds=faded * curriculum.seconds + starts.seconds,
-        cost=keep * curriculum.cost + (cost[..., None] * situations).sum((0, 1)),
-        time=keep * curriculum.time + (situations * second).sum((0, 1)),
+        cost=keep * curriculum.cost + cost_in_situations.sum((0, 1)),
+        time=keep * curriculum.time + in_situations.sum((0, 1)),
         total_cost=keep * curriculum.total_cost + cost.sum(),
         total_time=keep * curriculum.total_time + second * cost.size,
         episodes=curriculum.episodes + starts.ended,
@@ -242,17 +252,21 @@ def _sum_by_start(
 ) -> StartSums:
     """The sums of a record, whose steps are ``second`` s long."""
     # A slot of the pool may have another start by now.
-    size = curriculum.keys.shape[0]
+    size = len(curriculum.keys)
     slot = jnp.maximum(record.start, 0) % size
-    known = (record.start >= 0) & (curriculum.pool.states.start[slot] == record.start)
-    counted, ends = known.astype(jnp.float32), (known & record.done).astype(jnp.float32)  # (T, B)
+    start_in_slot = curriculum.pool.states.start[slot]
+    known = (record.start >= 0) & (start_in_slot == record.start)
+    counted = known.astype(jnp.float32)  # (T, B)
+    ends = (known & record.done).astype(jnp.float32)
 
     returns = record.episode_return.astype(jnp.float32)
     columns = jnp.stack([counted * second, ends, ends * returns, counted], -1)
-    sums = _by_start(jnp.concatenate([columns, counted[..., None] * occurs], -1), slot, size)
+    columns = jnp.concatenate([columns, counted[..., None] * occurs], -1)  # (T, B, 4 + S)
+    sums = _by_start(columns, slot, size)
 
     highest = jnp.where(ends > 0.0, returns, -jnp.inf)
-    best = jnp.full(size, -jnp.inf, jnp.float32).at[slot.reshape(-1)].max(highest.reshape(-1))
+    none = jnp.full(size, -jnp.inf, jnp.float32)
+    best = none.at[slot.reshape(-1)].max(highest.reshape(-1))
     return StartSums(*sums[:, :4].T, occurs=sums[:, 4:], best=best)
 
 
@@ -300,7 +314,10 @@ def _new_starts(
     guess = jnp.full(number, _mean_regret(curriculum), jnp.float32)
     if env.randomization is None:
         return _draw(env, plan, policy, keys) | {"guess": guess}
-    chances = jnp.log(jnp.maximum(_by_regret(plan, curriculum), 1e-30))
+
+    # Starts of great regret have more offspring.
+    weights = _by_regret(plan, curriculum)
+    chances = jnp.log(jnp.maximum(weights, 1e-30))
     parent = jax.random.categorical(parent_key, chances, shape=(number,))
     mutates = jax.random.uniform(choice_key, (number,), float) < plan.mutated
     keys, parameters = _offspring(env, curriculum, keys, parent, mutates, mutation_key)
@@ -312,21 +329,29 @@ def _exchange_by_situations(
     env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum, fresh: dict[str, Any]
 ) -> Exchange:
     """The best new start for the worst old one, and so on, all of them weighed as one pool."""
-    size, number = curriculum.keys.shape[0], fresh["keys"].shape[0]
+    size = len(curriculum.keys)
+    number = len(fresh["keys"])
     occurs = jnp.concatenate([curriculum.occurs, fresh["occurs"]])
     seconds = jnp.concatenate([curriculum.seconds, fresh["seconds"]])
     share = _shares(occurs, seconds)
-    values = _by_situations(share, share.sum(0), situation_weights(env, plan, curriculum))
-    value, new_value = values[:size], values[size:]
-    out, order = jnp.argsort(value)[:number], jnp.argsort(-new_value)
-    return Exchange(out, order, better=jnp.sort(new_value)[::-1] > value[out])
+    weights = situation_weights(env, plan, curriculum)
+    values = _by_situations(share, share.sum(0), weights)
+
+    old_values = values[:size]
+    new_values = values[size:]
+    out = jnp.argsort(old_values)[:number]
+    order = jnp.argsort(-new_values)
+    highest_first = jnp.sort(new_values)[::-1]
+    return Exchange(out, order, better=highest_first > old_values[out])
 
 
 def _exchange_by_regret(curriculum: Curriculum, number: int) -> Exchange:
     """Any new start for one of the least regret."""
     is_known = _is_known(curriculum)
-    out = jnp.argsort(jnp.where(is_known, regret(curriculum), jnp.inf))[:number]
-    return Exchange(out, jnp.arange(number, dtype=jnp.int32), better=is_known[out])
+    known_regret = jnp.where(is_known, regret(curriculum), jnp.inf)
+    out = jnp.argsort(known_regret)[:number]
+    order = jnp.arange(number, dtype=jnp.int32)
+    return Exchange(out, order, better=is_known[out])
 
 
 # ------------------------------------------------------------------ statistics of the record
@@ -341,7 +366,8 @@ def situation_weights(env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum
         return weights / weights.sum()
     overall = curriculum.total_cost / jnp.maximum(curriculum.total_time, TINY)
     rate = (curriculum.cost + PRIOR * overall) / (curriculum.time + PRIOR)
-    return jax.nn.softmax(jnp.log(jnp.maximum(rate, TINY)) / plan.temperature)
+    log_rate = jnp.log(jnp.maximum(rate, TINY))
+    return jax.nn.softmax(log_rate / plan.temperature)
 
 
 def occurrences(curriculum: Curriculum) -> Float[Array, "K S"]:
@@ -375,24 +401,35 @@ def _weighed(env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum) -> Curr
     else:
         share = occurrences(curriculum)
         weights = _by_situations(share, share.sum(0), situation_weights(env, plan, curriculum))
-    size = weights.shape[0]
-    weights = (1.0 - plan.floor) * weights / jnp.maximum(weights.sum(), TINY) + plan.floor / size
-    return replace(curriculum, pool=replace(curriculum.pool, weights=weights.astype(float)))
+
+    # Some episodes begin anywhere in the pool.
+    total = jnp.maximum(weights.sum(), TINY)
+    weights = (1.0 - plan.floor) * weights / total + plan.floor / len(weights)
+    pool = replace(curriculum.pool, weights=weights.astype(float))
+    return replace(curriculum, pool=pool)
 
 
 def _by_situations(share: Array, total: Float[Array, "S"], weights: Float[Array, "S"]) -> Array:
     """(...) the chance that a start is drawn for a situation, by the shares (..., S) of time and their sums."""
     met = total > TINY
-    weight = jnp.where(met, weights / jnp.where(met, total, 1.0), 0.0)
-    nowhere = 1.0 - jnp.where(met, weights, 0.0).sum() / jnp.maximum(weights.sum(), TINY)  # goes to all alike
-    return share @ weight + nowhere / share.shape[0]
+    divisor = jnp.where(met, total, 1.0)
+    weight = jnp.where(met, weights / divisor, 0.0)
+
+    # The weight of situations that have not been met goes to all alike.
+    met_weights = jnp.where(met, weights, 0.0)
+    not_met = 1.0 - met_weights.sum() / jnp.maximum(weights.sum(), TINY)
+    return share @ weight + not_met / len(share)
 
 
 def _by_regret(plan: CurriculumPlan, curriculum: Curriculum) -> Float[Array, "K"]:
     score = regret(curriculum)
-    score = jnp.where(_is_known(curriculum) | (curriculum.guess > 0.0), score, _mean_regret(curriculum))
+    has_score = _is_known(curriculum) | (curriculum.guess > 0.0)
+    score = jnp.where(has_score, score, _mean_regret(curriculum))
+
+    # The rank is 1 for the greatest, and equal for equals.
     ordered = jnp.sort(score)
-    rank = score.shape[0] - jnp.searchsorted(ordered, score, side="right") + 1  # 1 for the greatest; equal for equals
+    below = jnp.searchsorted(ordered, score, side="right")
+    rank = len(score) - below + 1
     weights = rank.astype(jnp.float32) ** (-1.0 / plan.temperature)
     return weights / weights.sum()
 
@@ -418,10 +455,12 @@ def _draw(
 
 def _occurrences(env: mdp.Env, plan: CurriculumPlan, pool: mdp.Pool, policy: PolicyLike | None) -> tuple[Array, Array]:
     """(K, S) s that a policy spends in each situation, and (K,) s of all, from each start for a short while."""
-    size, number = pool.weights.shape[0], len(env.scenario.situations)
+    size = len(pool.weights)
+    number = len(env.scenario.situations)
     if policy is None or plan.by == "regret":
         return jnp.zeros((size, number), jnp.float32), jnp.zeros(size, jnp.float32)
-    return jax.vmap(functools.partial(_look_ahead, env, plan, policy))(pool.states)
+    look_ahead = functools.partial(_look_ahead, env, plan, policy)
+    return jax.vmap(look_ahead)(pool.states)
 
 
 def _look_ahead(env: mdp.Env, plan: CurriculumPlan, policy: PolicyLike, start: mdp.EnvState) -> tuple[Array, Array]:
@@ -431,13 +470,16 @@ def _look_ahead(env: mdp.Env, plan: CurriculumPlan, policy: PolicyLike, start: m
     def advance(carry: tuple[State, Array, Array], step: None) -> tuple[tuple[State, Array, Array], None]:
         before, occurs, seconds = carry
         after, _ = policy_step(scenario, policy, before)
-        duration = jnp.where(before.completed | before.timed_out, 0.0, scenario.time_step).astype(jnp.float32)
-        return (after, occurs + duration * after.situations.astype(jnp.float32), seconds + duration), None
+        is_over = before.completed | before.timed_out
+        duration = jnp.where(is_over, 0.0, scenario.time_step).astype(jnp.float32)
+        in_situations = duration * after.situations.astype(jnp.float32)
+        return (after, occurs + in_situations, seconds + duration), None
 
     state = init_policy(scenario, policy, start.simulation)
-    carry = state, jnp.zeros(len(env.scenario.situations), jnp.float32), jnp.zeros((), jnp.float32)
+    occurs = jnp.zeros(len(env.scenario.situations), jnp.float32)
+    seconds = jnp.zeros((), jnp.float32)
     steps = max(1, round(plan.ahead / env.scenario.time_step))
-    (_, occurs, seconds), _ = jax.lax.scan(advance, carry, length=steps)
+    (_, occurs, seconds), _ = jax.lax.scan(advance, (state, occurs, seconds), length=steps)
     return occurs, seconds
 
 
@@ -452,38 +494,51 @@ def _offspring(
     """(R,) keys and (R, ...) parameters of starts that are new, or like their parents."""
     randomization = env.randomization
     assert randomization is not None
-    _, draw_keys, _ = jnp.moveaxis(jax.vmap(lambda key: jax.random.split(key, 3))(keys), 1, 0)
+    split_keys = jax.vmap(lambda key: jax.random.split(key, 3))(keys)  # (R, 3)
+    _, draw_keys, _ = jnp.moveaxis(split_keys, 1, 0)
     drawn = jax.vmap(lambda key: randomization.draw(key, env.scenario))(draw_keys)
+
     mutate = jax.vmap(lambda key, parameters: randomization.mutate(key, parameters, env.scenario))
-    own = jax.tree.map(lambda leaf: leaf[parent], curriculum.pool.states.randomization)
-    moved = mutate(jax.random.split(key, parent.shape[0]), own)
+    of_parents = jax.tree.map(lambda leaf: leaf[parent], curriculum.pool.states.randomization)
+    mutated = mutate(jax.random.split(key, len(parent)), of_parents)
 
-    def select(one: Array, other: Array) -> Array:
-        return jnp.where(mutates.reshape(-1, *[1] * (one.ndim - 1)), one, other)
+    def select(mutation: Array, new: Array) -> Array:
+        return jnp.where(_as_column(mutates, new), mutation, new)
 
-    return jnp.where(mutates, curriculum.keys[parent], keys), jax.tree.map(select, moved, drawn)
+    keys = jnp.where(mutates, curriculum.keys[parent], keys)
+    return keys, jax.tree.map(select, mutated, drawn)
+
+
+def _as_column(condition: Bool[Array, "R"], rows: Array) -> Array:
+    """A condition on each of the rows (R, ...), of their number of axes."""
+    return condition.reshape(-1, *[1] * (rows.ndim - 1))
 
 
 def _put(curriculum: Curriculum, fresh: dict[str, Any], exchange: Exchange) -> Curriculum:
     """The curriculum with ``fresh`` starts in the slots where they are better."""
-    size = curriculum.keys.shape[0]
+    size = len(curriculum.keys)
     out, order, better = exchange
 
     def put(old: Array, new: Array) -> Array:
-        chosen = better.reshape(-1, *[1] * (old.ndim - 1))
-        return old.at[out].set(jnp.where(chosen, new[order], old[out]))
+        chosen = jnp.where(_as_column(better, old), new[order], old[out])
+        return old.at[out].set(chosen)
 
     numbers = curriculum.pool.states.start
-    replaced = numbers.at[out].set(jnp.where(better, numbers[out] + size, numbers[out]))
-    starts = jax.tree.map(put, {name: getattr(curriculum, name) for name in fresh}, fresh)
-    pool = replace(starts["pool"], states=replace(starts["pool"].states, start=replaced))
+    new_numbers = jnp.where(better, numbers[out] + size, numbers[out])
+    replaced = numbers.at[out].set(new_numbers)
+    before = {name: getattr(curriculum, name) for name in fresh}
+    starts = jax.tree.map(put, before, fresh)
+    pool = starts["pool"]
+    pool = replace(pool, states=replace(pool.states, start=replaced))
     return replace(curriculum, **starts | {"pool": pool})
 
 
 def _by_start(values: Float[Array, "T B C"], slot: Int[Array, "T B"], size: int) -> Float[Array, "K C"]:
     """Sums by start, of whole numbers: sums of floats would depend on the order of additions on a GPU."""
     rows = values.reshape(-1, values.shape[-1])  # (T B, C)
-    unit = jnp.maximum(jnp.abs(rows).sum(0), TINY) / WHOLE  # (C,)
+    largest = jnp.maximum(jnp.abs(rows).sum(0), TINY)
+    unit = largest / WHOLE  # (C,)
     whole = jnp.round(rows / unit[None, :]).astype(jnp.int32)
-    sums = jnp.zeros((size, rows.shape[-1]), jnp.int32).at[slot.reshape(-1)].add(whole)
+    none = jnp.zeros((size, rows.shape[-1]), jnp.int32)
+    sums = none.at[slot.reshape(-1)].add(whole)
     return sums.astype(jnp.float32) * unit[None, :]

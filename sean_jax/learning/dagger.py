@@ -37,7 +37,8 @@ def train(options: DaggerConfig, console: ProgressLike = None) -> TrainState:
     user_parts.check_trust(collecting)
     facts = {"fingerprint": first.fingerprint(), "command": first.manifest["command"]}
     config = method_config(options, dataset=facts)
-    datasets, pretrained = [options.dataset, *options.datasets], options.pretrained
+    datasets = [options.dataset, *options.datasets]
+    pretrained = options.pretrained
     imitation.prepare(_train_options(options, datasets, pretrained, options.folder))
     check_policy(options.expert, collecting, "expert")
     resumes = check_config(options.folder, config)

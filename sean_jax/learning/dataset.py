@@ -124,7 +124,8 @@ def _check_episodes(manifest: Manifest, shard: Shard) -> Iterator[tuple[str, str
     for name, values in (("lengths", shard.lengths), ("completed", shard.completed)):
         if len(values) != manifest.batch:
             yield name, f"has {len(values)} values, and a batch has {manifest.batch} episodes"
-    rows, longest = sum(shard.lengths), max(shard.lengths, default=0)
+    rows = sum(shard.lengths)
+    longest = max(shard.lengths, default=0)
     if shard.by_person is not None and len(shard.by_person) != rows:
         yield "by_person", f"has {len(shard.by_person)} values for {rows} rows"
     if longest > manifest.rate * manifest.seconds:
@@ -133,7 +134,8 @@ def _check_episodes(manifest: Manifest, shard: Shard) -> Iterator[tuple[str, str
 
 def _check_floors(manifest: Manifest, shard: Shard) -> Iterator[tuple[str, str]]:
     """As ``_check_episodes``, of floors."""
-    count, floors = len(manifest.environments), shard.floors or []
+    count = len(manifest.environments)
+    floors = shard.floors or []
     if shard.floors is None and not count:
         return
     if len(floors) != manifest.batch:
@@ -162,7 +164,8 @@ def create_arrays(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], 
     for name, (shape, kind) in fields.items():
         shard = [batch, rows, *shape]
         chunk = [1, *shard[1:]] if len(shape) > 1 and kind == "uint16" else shard
-        little, checksum = {"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}
+        little = {"name": "bytes", "configuration": {"endian": "little"}}
+        checksum = {"name": "crc32c"}
         order = {"name": "bytes"} if kind == "bool" else little
         sharding = {
             "chunk_shape": chunk,
@@ -281,7 +284,8 @@ class Dataset:
         Raises:
             InputError: another program wrote the dataset, or a file has changed.
         """
-        file, options = self.folder / MANIFEST, self.manifest["options"]
+        file = self.folder / MANIFEST
+        options = self.manifest["options"]
         if not self.manifest["command"].startswith("sean collect"):
             raise InputError(
                 f"{self.folder}: was driven by hand or by another program, which cannot be simulated again; "
@@ -323,7 +327,8 @@ class Dataset:
         Parts take turns by episode, so that each has as much of every stream.
         """
         rows = self.rate * stream_seconds(self.manifest["hours"], len(self.manifest["streams"]))
-        left, episodes = [rows] * len(self.manifest["streams"]), []
+        left = [rows] * len(self.manifest["streams"])
+        episodes = []
         for index, shard in enumerate(self.manifest["shards"]):
             for place, length in enumerate(shard["lengths"]):
                 length = min(length, left[shard["stream"]])
@@ -373,7 +378,8 @@ class Dataset:
     def _read_field(self, name: str, episodes: Sequence[Episode]) -> np.ndarray:
         """(R, ...) of one field."""
         shape, kind = self.fields[name]
-        rows, done = np.empty((0, *shape), kind), 0
+        rows = np.empty((0, *shape), kind)
+        done = 0
         for group in self._read_groups(episodes, sparse=name == "depth"):
             first, values = self._read_group(name, group)
             if done == 0:  # allocate only once the sizes in the manifest are confirmed
@@ -435,7 +441,8 @@ class Dataset:
         """
         index = len(self.manifest["shards"]) if shard is None else shard
         sizes = write_shard(self.folder, index, batch.rows)
-        lengths, completed = batch.lengths.tolist(), batch.completed.tolist()
+        lengths = batch.lengths.tolist()
+        completed = batch.completed.tolist()
         entry = {"stream": stream, "lengths": lengths, "completed": completed, "bytes": sizes}
         if batch.floors is not None:
             entry["floors"] = batch.floors.tolist()
@@ -659,7 +666,8 @@ def open_datasets(folders: Sequence[Path], part: tuple[int, int] = (1, 1)) -> Co
     first, *others = (open_dataset(folder, (1, 1) if more else part) for more, folder in enumerate(folders))
     for other in others:
         for name in ("camera", "situations"):
-            theirs, ours = other.manifest[name], first.manifest[name]
+            theirs = other.manifest[name]
+            ours = first.manifest[name]
             if theirs != ours:
                 raise InputError(f"{other.folder} has {name} {theirs}, and {first.folder} {ours}; collect the same.")
         if other.rate != first.rate:

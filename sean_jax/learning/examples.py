@@ -130,7 +130,9 @@ def observation_terms(image: tuple[int, int], situations: bool, time_step: float
 
 def example(recording: Recording, index: Int[Array, "*batch"], xp: ModuleType = jnp) -> Example:
     """Examples of a recording at rows () or (B,); ``xp`` is ``numpy`` if the recording consists of numpy arrays."""
-    rows, first, last = recording.rows, recording.first[index][..., None], recording.end[index][..., None] - 1
+    rows = recording.rows
+    first = recording.first[index][..., None]
+    last = recording.end[index][..., None] - 1
     ages = xp.arange(SECONDS, dtype=xp.int32).reshape((1,) * (first.ndim - 1) + (SECONDS,))
     present = index[..., None]
     second = recording.rate  # in rows

@@ -88,7 +88,8 @@ class Training:
 
     def file(self) -> dict[str, Any]:
         """The content of config.json."""
-        options, data = self.options, self.data
+        options = self.options
+        data = self.data
         if data.example_count < 2:
             raise InputError(f"{data.folder} has {data.example_count} examples, too few to learn from; collect more.")
         return {
@@ -156,7 +157,8 @@ def shuffled(rows: Int[Array, "R"], probabilities: Float[Array, "R"] | None, see
 
 def _train(training: Training, tell: Progress) -> TrainState:
     """Train in a folder that this process has locked."""
-    options, mesh = training.options, devices.mesh()
+    options = training.options
+    mesh = devices.mesh()
     epoch = _epoch(training, mesh)
 
     def advance(state: TrainState) -> tuple[TrainState, Report]:
@@ -178,7 +180,8 @@ def _train(training: Training, tell: Progress) -> TrainState:
 
 def _first_state(training: Training) -> TrainState:
     """The state before the first epoch, of new weights or of those of another training."""
-    options, description = training.options, training.description
+    options = training.options
+    description = training.description
     init = jax.jit(functools.partial(init_state, description, training.student))
     state = init(options.seed, command_scale(training.read("command")))
     if options.pretrained is None:
@@ -201,7 +204,9 @@ def _report(
     Raises:
         FloatingPointError: a loss is not finite.
     """
-    number, best_number, loss = int(state.update), int(state.best.update), float(validation.loss)
+    number = int(state.update)
+    best_number = int(state.best.update)
+    loss = float(validation.loss)
     if not (math.isfinite(float(training.loss)) and math.isfinite(loss)):
         raise FloatingPointError(
             f"the loss is not finite in epoch {number}; {options.folder} keeps the checkpoints until then; "
@@ -235,7 +240,8 @@ def _epoch(training: Training, mesh: Mesh) -> Callable[[TrainState], tuple[Train
     training_windows, validation_windows = (_on_devices if fits else _from_disk)(training, mesh)
 
     def epoch(state: TrainState) -> tuple[TrainState, CloningLosses, CloningLosses]:
-        training_sums, validation_sums = jnp.zeros(4, jnp.float32), jnp.zeros(4, jnp.float32)
+        training_sums = jnp.zeros(4, jnp.float32)
+        validation_sums = jnp.zeros(4, jnp.float32)
         for recording, rows in training_windows(int(state.update)):
             state, sums = compiled.learn(state, recording, rows)
             training_sums = training_sums + sums
@@ -248,10 +254,12 @@ def _epoch(training: Training, mesh: Mesh) -> Callable[[TrainState], tuple[Train
 
 def _on_devices(training: Training, mesh: Mesh) -> tuple[Windows, Windows]:
     """All rows at once, to train and to validate."""
-    seed, probabilities = training.options.seed, training.probabilities()
+    seed = training.options.seed
+    probabilities = training.probabilities()
     recording = devices.replicate(mesh, on_device(training.recording()))
     rows = jnp.arange(training.data.example_count, dtype=jnp.int32)
-    training_rows, validation_rows = rows[: training.length], rows[training.length :]
+    training_rows = rows[: training.length]
+    validation_rows = rows[training.length :]
     if probabilities is not None:
         probabilities = jnp.asarray(probabilities)
     shuffle = jax.jit(shuffled, static_argnums=2)
@@ -308,7 +316,8 @@ def train_ensemble(several: Sequence[ImitationConfig], console: ProgressLike = N
         raise InputError("pretrained: networks trained in parallel have none; train this network alone.")
     trainings = [prepare(options) for options in several]
     _check_alike(trainings)
-    size, states = min(MAX_NETWORKS, _networks_at_once(trainings)), []
+    size = min(MAX_NETWORKS, _networks_at_once(trainings))
+    states = []
     with progress(console) as tell, contextlib.ExitStack() as stack:
         for options in several:
             stack.enter_context(writing.folder_lock(options.folder))
@@ -346,14 +355,17 @@ def _networks_at_once(trainings: list[Training]) -> int:
 def _train_ensemble(trainings: list[Training], first: int, tell: Progress) -> list[TrainState]:
     """Networks whose folders are locked; ``first`` others were trained before."""
     # Folders are compared before anything is computed: networks of other options are not overwritten.
-    options, files = trainings[0].options, [training.file() for training in trainings]
+    options = trainings[0].options
+    files = [training.file() for training in trainings]
     for training, file in zip(trainings, files, strict=True):
         check_config(training.options.folder, file)
 
     # The networks are one array program (A, ...), so that small ones fill the device together.
     states = _init_ensemble(trainings)
-    data, epoch = _stack_data(trainings), _ensemble_epoch(trainings[0])
-    over, epochs = np.zeros(len(trainings), bool), []
+    data = _stack_data(trainings)
+    epoch = _ensemble_epoch(trainings[0])
+    over = np.zeros(len(trainings), bool)
+    epochs = []
 
     while not over.all():
         # Networks that have stopped are computed as well and left unchanged: shapes in a program are fixed.
@@ -369,7 +381,8 @@ def _train_ensemble(trainings: list[Training], first: int, tell: Progress) -> li
             )
 
         # Each network stops by its own validation loss; the others go on.
-        number, best_number = np.asarray(states.update), np.asarray(states.best.update)
+        number = np.asarray(states.update)
+        best_number = np.asarray(states.best.update)
         over |= (number >= options.epochs) | (number - best_number >= options.patience)
         share = max(float(over.mean()), number.max() / options.epochs)
         mean = float(validation_losses.loss.mean())
@@ -417,9 +430,12 @@ def _stack_data(trainings: list[Training]) -> EnsembleData:
     recordings = [fill_up(recording, longest) for recording in recordings]
     index = np.arange(longest)
     widest = max(training.data.example_count - training.length for training in trainings)
-    training_rows, validation_rows, probabilities = [], [], []
+    training_rows = []
+    validation_rows = []
+    probabilities = []
     for training in trainings:
-        length, count = training.length, training.data.example_count
+        length = training.length
+        count = training.data.example_count
         rows = length + np.arange(widest)
         training_rows.append(np.where(index < length, index, -1))
         validation_rows.append(np.where(rows < count, rows, -1))
@@ -446,9 +462,11 @@ def _ensemble_epoch(training: Training) -> Callable:
         rows = data.training
         key = jax.random.fold_in(random_streams.key("order", data.seed), state.update)
         if training.options.balance:
-            order = jnp.where(rows >= 0, jax.random.choice(key, rows, rows.shape, p=data.probabilities), -1)
+            drawn = jax.random.choice(key, rows, rows.shape, p=data.probabilities)
+            order = jnp.where(rows >= 0, drawn, -1)
         else:  # in another order, with none at the end
-            order = rows[jnp.argsort(jnp.where(rows >= 0, jax.random.uniform(key, rows.shape), 2.0))]
+            chance = jnp.where(rows >= 0, jax.random.uniform(key, rows.shape), 2.0)
+            order = rows[jnp.argsort(chance)]
         after, sums = compiled.learn(state, data.recording, order)
         after, *losses = compiled.finish(after, sums, compiled.measure(after, data.recording, data.validation))
         return jax.tree.map(lambda old, new: jnp.where(over, old, new), state, after), losses

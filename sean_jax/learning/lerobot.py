@@ -33,7 +33,8 @@ def export(dataset: Path | str, out: Path | str) -> Path:
         import pyarrow  # noqa: F401
     except ImportError:
         raise InputError('export lerobot: pyarrow is missing; pip install "sean_jax[lerobot]".') from None
-    data, out = open_dataset(dataset), Path(out)
+    data = open_dataset(dataset)
+    out = Path(out)
     check_new_folder(out)
     if not data.episodes:
         raise InputError(f"{data.folder} has no episodes; collect some.")
@@ -45,10 +46,14 @@ def export(dataset: Path | str, out: Path | str) -> Path:
 def _export(data: Dataset, out: Path) -> None:
     import pyarrow.parquet as pq
 
-    tasks, schema = [name.replace("_", " ") for name in data.manifest["streams"]], _schema(_features(data))
+    tasks = [name.replace("_", " ") for name in data.manifest["streams"]]
+    schema = _schema(_features(data))
 
     # Depth has 16 bits: a histogram has its exact quantiles, and no image stays in memory.
-    descriptions, everything, depths, index = [], [], np.zeros(2**16, np.int64), 0
+    descriptions = []
+    everything = []
+    depths = np.zeros(2**16, np.int64)
+    index = 0
     for number, first in enumerate(range(0, len(data.episodes), EPISODES_IN_FILE)):
         # Files hold many episodes and chunks many files, so that datasets of millions of episodes have few files.
         chunk, place = divmod(number, FORMAT["info"]["chunks_size"])
@@ -107,7 +112,8 @@ def _statistics(values: np.ndarray, weights: np.ndarray | None = None) -> dict[s
 
 def _columns(data: Dataset, episode: Episode, number: int, index: int) -> dict[str, np.ndarray]:
     """(T, ...) of each feature; one of a single number has (T,), as LeRobot stores it."""
-    rows, steps = data.read([episode]), np.arange(episode.length)
+    rows = data.read([episode])
+    steps = np.arange(episode.length)
     columns = {
         IMAGE: rows["depth"],
         STATE: np.concatenate([rows["pose"], rows["velocity"]], axis=1),
@@ -183,7 +189,8 @@ def _schema(features: dict[str, dict[str, Any]]) -> Any:
     def column(feature: dict[str, Any]) -> Any:
         if feature["dtype"] == "image":
             return pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-        kind, (size,) = getattr(pa, feature["dtype"])(), feature["shape"]
+        kind = getattr(pa, feature["dtype"])()
+        (size,) = feature["shape"]
         return kind if size == 1 else pa.list_(kind, size)
 
     return pa.schema([(name, column(feature)) for name, feature in features.items()])

@@ -94,10 +94,16 @@ def squares(values: Float[Array, "*batch H W C"], side: int) -> Float[Array, "*b
     epoch, convolutions ran 5 times slower on a CPU for small images, and an epoch of larger ones took minutes.
     """
     *lead, height, width, channels = values.shape
-    rows, columns = -(-height // side), -(-width // side)
-    spare = [(0, 0)] * len(lead) + [(0, rows * side - height), (0, columns * side - width), (0, 0)]
-    parts = jnp.pad(values, spare).reshape(*lead, rows, side, columns, side, channels)
-    return jnp.moveaxis(parts, -4, -3).reshape(*lead, rows, columns, side * side * channels)
+    rows = -(-height // side)
+    columns = -(-width // side)
+    below = 0, rows * side - height
+    beside = 0, columns * side - width
+    padded = jnp.pad(values, [(0, 0)] * len(lead) + [below, beside, (0, 0)])
+
+    # The pixels of a square come last.
+    parts = padded.reshape(*lead, rows, side, columns, side, channels)
+    parts = jnp.moveaxis(parts, -4, -3)
+    return parts.reshape(*lead, rows, columns, side * side * channels)
 
 
 class Perceptron(nn.Module):
@@ -235,7 +241,8 @@ class ActorCritic(nn.Module):
         encode = nn.vmap(_call, variable_axes={"params": None}, split_rngs={"params": False})
         result = encode(self.encoder, observation)
         features, auxiliary = result if isinstance(result, tuple) else (result, {})
-        return features.reshape(*lead, -1), {name: x.reshape(*lead, *x.shape[1:]) for name, x in auxiliary.items()}
+        auxiliary = {name: output.reshape(*lead, *output.shape[1:]) for name, output in auxiliary.items()}
+        return features.reshape(*lead, -1), auxiliary
 
 
 class _Images(nn.Module):
@@ -248,8 +255,11 @@ class _Images(nn.Module):
     def __call__(self, image: Array) -> Array:
         values = _nearness(image)
         for side, features in PATCHES:
-            values = nn.relu(_dense(features, dtype=self.dtype)(squares(values, side)))
-        return nn.relu(_dense(self.width, dtype=self.dtype)(values.reshape(*values.shape[:-3], -1))).astype(jnp.float32)
+            layer = _dense(features, dtype=self.dtype)
+            values = nn.relu(layer(squares(values, side)))
+        values = values.reshape(*values.shape[:-3], -1)
+        output = _dense(self.width, dtype=self.dtype)(values)
+        return nn.relu(output).astype(jnp.float32)
 
 
 def _call(encoder: nn.Module, observation: dict[str, Array]) -> Array:
@@ -277,13 +287,17 @@ class AttentionEncoder(nn.Module):
         query = jnp.concatenate([observation[name].reshape(-1) for name in others])
         crowds = []
         for name in self.people:
-            *earlier, _, columns = observation[name].shape  # readings of other times, attended to each by itself
+            # Readings of other times are attended to each by itself.
+            people = observation[name]
+            rows = people.reshape(-1, *people.shape[-2:])
             axes: Any = (0, None)
-            each = nn.vmap(_attend, in_axes=axes, variable_axes={"params": None}, split_rngs={"params": False})
-            rows = observation[name].reshape(-1, observation[name].shape[-2], columns)
-            crowds.append(each(PeopleAttention(), rows, query).reshape(-1))
-        seen = [_Images(self.width, self.dtype)(observation[name].astype(self.dtype)) for name in self.images]
-        return jnp.concatenate([query, *crowds, *seen])
+            attend = nn.vmap(_attend, in_axes=axes, variable_axes={"params": None}, split_rngs={"params": False})
+            crowds.append(attend(PeopleAttention(), rows, query).reshape(-1))
+        encodings = []
+        for name in self.images:
+            image = observation[name].astype(self.dtype)
+            encodings.append(_Images(self.width, self.dtype)(image))
+        return jnp.concatenate([query, *crowds, *encodings])
 
 
 class PeopleAttention(nn.Module):
@@ -299,10 +313,12 @@ class PeopleAttention(nn.Module):
         heads = HEADS, EMBEDDING // HEADS
         keys, values = (_dense(EMBEDDING, 1.0)(hidden).reshape(-1, *heads) for _ in range(2))
         queries = _dense(EMBEDDING, 1.0)(query).reshape(1, *heads)
-        scores = jnp.where(present[:, None], (keys * queries).sum(-1) / math.sqrt(heads[1]), -jnp.inf)  # (N, HEADS)
+        scores = (keys * queries).sum(-1) / math.sqrt(heads[1])  # (N, HEADS)
+        scores = jnp.where(present[:, None], scores, -jnp.inf)
         anybody = present.any()
         shares = nn.softmax(jnp.where(anybody, scores, 0.0), 0)
-        return jnp.where(anybody, (shares[..., None] * values).sum(0), 0.0).reshape(-1)
+        attended = (shares[..., None] * values).sum(0)  # (HEADS, EMBEDDING // HEADS)
+        return jnp.where(anybody, attended, 0.0).reshape(-1)
 
 
 def _attend(attention: PeopleAttention, rows: Array, query: Array) -> Array:
@@ -324,9 +340,10 @@ class ConvEncoder(nn.Module):
             values = _nearness(observation[name].astype(self.dtype))
             for side, channels in CONVOLUTIONS:
                 start = nn.initializers.orthogonal(np.sqrt(2.0))
-                values = nn.Conv(channels, (side, side), strides=2, dtype=self.dtype, kernel_init=start)(values)
-                values = nn.relu(values)
-            features.append(nn.relu(_dense(self.width, dtype=self.dtype)(values.reshape(-1))).astype(jnp.float32))
+                layer = nn.Conv(channels, (side, side), strides=2, dtype=self.dtype, kernel_init=start)
+                values = nn.relu(layer(values))
+            output = _dense(self.width, dtype=self.dtype)(values.reshape(-1))
+            features.append(nn.relu(output).astype(jnp.float32))
         return jnp.concatenate(features)
 
 
@@ -396,7 +413,8 @@ def check_encoder(encoder: nn.Module, observation: dict[str, tuple[int, ...]]) -
 
     def check(observation: dict[str, Array]) -> None:
         result, variables = user_calls.call("network", _Checked(encoder), "observation", observation)
-        actual, expected = user_calls.describe(result), "float32 (features,)"
+        actual = user_calls.describe(result)
+        expected = "float32 (features,)"
         if not (isinstance(result, jax.Array) and result.ndim == 1 and result.dtype == jnp.float32):
             cure = "give the features of one observation, as by x.reshape(-1); the trainer adds batch and outputs"
             raise user_calls.wrong("network", encoder, actual, expected, cure)
@@ -556,7 +574,8 @@ def update_statistics(before: Statistics, vectors: Float[Array, "*batch F"]) -> 
     """
     batch = tuple(range(vectors.ndim - 1))  # not flattened, which would collect what several devices share
     number = jnp.asarray(math.prod(vectors.shape[:-1]), jnp.float32)
-    mean, variance = vectors.mean(batch), vectors.var(batch)
+    mean = vectors.mean(batch)
+    variance = vectors.var(batch)
     total = before.count + number
     gap = mean - before.mean
     squares_sum = before.variance * before.count + variance * number + gap * gap * before.count * number / total
@@ -576,10 +595,12 @@ def log_density(output: NetworkOutput, action: Float[Array, "*batch 2"]) -> Floa
 
     Source, of squashed actions: T. Haarnoja et al., "Soft actor-critic", ICML 2018, appendix C.
     """
-    center, wide = output.mean, jnp.zeros_like(action)
+    center = output.mean
+    wide = jnp.zeros_like(action)
     if output.location is not None:
         action = jnp.arctanh(jnp.clip(action, -MAX_ACTION, MAX_ACTION))
-        center, wide = output.location, _log_slope(action)
+        center = output.location
+        wide = _log_slope(action)
     gap = (action - center) * jnp.exp(-output.log_std)
     return -(0.5 * gap * gap + output.log_std + 0.5 * np.log(2.0 * np.pi) + wide).sum(-1)
 
@@ -589,7 +610,8 @@ def entropy(output: NetworkOutput) -> Float[Array, "*batch"]:
     each = output.log_std + 0.5 * np.log(2.0 * np.pi * np.e)
     if output.location is not None:
         nodes, weights = (jnp.asarray(part, each.dtype) for part in (NODES, NODE_WEIGHTS / NODE_WEIGHTS.sum()))
-        location, deviation = output.location, jnp.exp(output.log_std)
+        location = output.location
+        deviation = jnp.exp(output.log_std)
         slopes = jax.vmap(lambda node: _log_slope(location + node * deviation))(nodes)
         each = each + jnp.tensordot(weights, slopes, 1)
     return each.sum(-1)

@@ -51,12 +51,14 @@ def export(source: Path | str, out: Path | str) -> Path:
         import onnx
     except ImportError:
         raise InputError('export onnx: onnx is missing; pip install "sean_jax[export]".') from None
-    folder, out = agent_folder(str(source), "export onnx"), Path(out)
+    folder = agent_folder(str(source), "export onnx")
+    out = Path(out)
     scenario = training_scenario(folder)
     folder = last_round(folder)
     description = in_32_bits(describe(folder, scenario))
     agent = read_agent(folder, description)
-    network, space = description.network, description.space
+    network = description.network
+    space = description.space
 
     inputs = {name: jax.ShapeDtypeStruct(space[name].shape, jnp.float32) for name, _ in description.terms}
     if network.recurrent:
@@ -208,7 +210,8 @@ class _Translation:
         results = self.run(closed, inputs)
         for name, value in zip(outputs, results, strict=True):
             self.nodes.append(helper.make_node("Identity", [self.name(value)], [name]))
-        needed, nodes = set(outputs), []
+        needed = set(outputs)
+        nodes = []
         for node in reversed(self.nodes):
             if needed.intersection(node.output):
                 nodes.append(node)
@@ -222,7 +225,8 @@ class _Translation:
 
     def run(self, closed: Any, arguments: Sequence[Any]) -> list[Any]:
         """The values of a program with its constants."""
-        program, values = closed.jaxpr, {}
+        program = closed.jaxpr
+        values = {}
         values.update(zip(program.constvars, map(np.asarray, closed.consts), strict=True))
         values.update(zip(program.invars, arguments, strict=True))
         read = lambda each: np.asarray(each.val) if hasattr(each, "val") else values[each]  # noqa: E731
@@ -317,7 +321,8 @@ class _Translation:
 
     def _rev(self, operation: _Operation) -> str:
         axes = _whole(operation.params["dimensions"])
-        last, end = np.full_like(axes, -1), np.full_like(axes, np.iinfo(np.int64).min)
+        last = np.full_like(axes, -1)
+        end = np.full_like(axes, np.iinfo(np.int64).min)
         return self.node("Slice", operation.first, last, end, axes, last)
 
     def _split(self, operation: _Operation) -> list[str]:
@@ -325,7 +330,8 @@ class _Translation:
         return self.nodes_of("Split", [operation.first, sizes], len(sizes), axis=operation.params["axis"])
 
     def _slice(self, operation: _Operation) -> str:
-        params, dimensions = operation.params, len(operation.out.shape)
+        params = operation.params
+        dimensions = len(operation.out.shape)
         steps = params["strides"] or (1,) * dimensions
         limits = params["start_indices"], params["limit_indices"], range(dimensions), steps
         return self.node("Slice", operation.first, *map(_whole, limits))
@@ -352,23 +358,27 @@ class _Translation:
     def dot(self, values: list[Any], shapes: list, numbers: Any) -> str:
         """A product of matrices, or what ``Einsum`` makes of more axes."""
         (left, right), (left_batch, right_batch) = numbers
-        if not left_batch and tuple(left) == (len(shapes[0]) - 1,) and tuple(right) == (0,) and len(shapes[1]) == 2:
+        is_last_axis = tuple(left) == (len(shapes[0]) - 1,)
+        is_first_axis = tuple(right) == (0,)
+        if not left_batch and is_last_axis and is_first_axis and len(shapes[1]) == 2:
             return self.node("MatMul", *values)
 
         # Axes that both have in common share a letter.
         letters = iter(string.ascii_letters)
         left_letters, right_letters = ([""] * len(shape) for shape in shapes)
-        for left_axis, right_axis in zip((*left_batch, *left), (*right_batch, *right), strict=True):
+        common_left = (*left_batch, *left)
+        common_right = (*right_batch, *right)
+        for left_axis, right_axis in zip(common_left, common_right, strict=True):
             left_letters[left_axis] = right_letters[right_axis] = next(letters)
         left_letters = [letter or next(letters) for letter in left_letters]
         right_letters = [letter or next(letters) for letter in right_letters]
 
         # The result has the batch first, then the free axes of both.
         batch = [left_letters[axis] for axis in left_batch]
-        shared = {*batch, *(left_letters[axis] for axis in left)}
-        free = [letter for letter in (*left_letters, *right_letters) if letter not in shared]
-        terms = ["".join(row) for row in (left_letters, right_letters, [*batch, *free])]
-        return self.node("Einsum", *values, equation=f"{terms[0]},{terms[1]}->{terms[2]}")
+        common = {left_letters[axis] for axis in common_left}
+        free = [letter for letter in (*left_letters, *right_letters) if letter not in common]
+        first, second, result = ("".join(row) for row in (left_letters, right_letters, [*batch, *free]))
+        return self.node("Einsum", *values, equation=f"{first},{second}->{result}")
 
     def convolve(self, values: list[Any], params: Mapping[str, Any]) -> Any:
         """A convolution, with batch and channels first as ONNX has them."""

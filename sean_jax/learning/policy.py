@@ -181,7 +181,8 @@ def read_options(folder: Path) -> ReinforcementConfig:
     """
     if not (folder / CONFIG).is_file():
         raise InputError(f"{folder} has no trained agent; make one with `sean train ppo --out {folder}`.")
-    saved, model = files.read_json(folder / CONFIG), METHODS[networks.read_method(folder)]
+    saved = files.read_json(folder / CONFIG)
+    model = METHODS[networks.read_method(folder)]
     if not issubclass(model, ReinforcementConfig):
         raise InputError(f"{folder} has a network that imitates, and no agent; train one with `sean train ppo`.")
     options = {name: value for name, value in saved.items() if name in model.model_fields}
@@ -245,7 +246,8 @@ def _encoder(options: ReinforcementConfig, terms: observations.Terms) -> Any:
     Raises:
         InputError: there is none, it is no module, or it does not fit the observations.
     """
-    value, name = user_parts.resolve(options.network, networks.NETWORKS, "network"), options.network.label
+    value = user_parts.resolve(options.network, networks.NETWORKS, "network")
+    name = options.network.label
     if isinstance(options.network, Named):
         if name == "conv" and not any(term.image for _, term in terms):
             raise InputError("network: conv is for images, and none is observed; add one, such as depth, or take mlp.")
@@ -395,12 +397,17 @@ def _read_best(folder: Path, outline: Agent) -> Agent:
 
     checkpoints = Checkpoints(folder)
     shapes = checkpoints.shapes("best")
-    _check_sizes(folder, {name[6:]: shape[1:] for name, shape in shapes.items() if name.startswith("agent/")}, outline)
+    saved = {}
+    for name, shape in shapes.items():
+        if name.startswith("agent/"):
+            saved[name.removeprefix("agent/")] = shape[1:]
+    _check_sizes(folder, saved, outline)
 
     # Checkpoints have the best of each agent that was trained in parallel.
     count = shapes.get("value", (1,))[0]
     outline = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((count, *leaf.shape), leaf.dtype), outline)
-    values, updates = (jax.ShapeDtypeStruct((count,), dtype) for dtype in (jnp.float32, jnp.int32))
+    values = jax.ShapeDtypeStruct((count,), jnp.float32)
+    updates = jax.ShapeDtypeStruct((count,), jnp.int32)
     best = checkpoints.best("best", Best(outline, values, updates))  # pyright: ignore
     chosen = int(np.argmax(best.value))
     return jax.tree.map(lambda leaf: leaf[chosen], best.agent)
@@ -456,7 +463,8 @@ def describe_agent(folder: Path) -> str:
         size = " x ".join(map(str, saved["image"]))
         return f"Network that imitates demonstrations; it sees depth images of {size} pixels and the global plan."
     options = read_options(folder)
-    sees, steps = ", ".join(part.kind for part in options.observations), saved.get("agent", {}).get("steps")
+    sees = ", ".join(part.kind for part in options.observations)
+    steps = saved.get("agent", {}).get("steps")
     trained = f" on {steps:,} steps" if isinstance(steps, int) else ""
     return f"Agent of reinforcement learning, trained{trained} in {', '.join(options.environments)}; it sees {sees}."
 
@@ -471,7 +479,8 @@ def pack(folder: Path | str, out: Path | str) -> Path:
         WriteError: the folder cannot be written.
         IncompleteError: the checkpoint cannot be read.
     """
-    folder, out = Path(folder), Path(out)
+    folder = Path(folder)
+    out = Path(out)
     check_new_folder(out)
     if is_packed(folder):
         raise InputError(f"{folder} is packed already; copy it.")
@@ -540,7 +549,8 @@ def agent_policy(network: ActorCritic, agent: Agent, terms: observations.Terms, 
     After each step ``state.policy_state.auxiliary`` has the local plan and the attention of a network that imitates,
     which SEAN displays too.
     """
-    params, sensing = AgentParams(agent, network, terms), observations.sensing(terms)
+    params = AgentParams(agent, network, terms)
+    sensing = observations.sensing(terms)
     return Policy(params=params, name=name, init=_init_agent, apply=_apply_agent, sensing=sensing)
 
 
@@ -548,7 +558,8 @@ def _init_agent(scenario: Scenario, params: AgentParams, state: State) -> AgentS
     """Begin an episode."""
     key = jax.random.fold_in(state.streams.policy, 2**31 - 1)  # above any tick
     observation, observed = observations.begin(params.terms, scenario, state, key)
-    memory, start = jnp.zeros(params.network.memory_size, jnp.float32), jnp.ones((), bool)
+    memory = jnp.zeros(params.network.memory_size, jnp.float32)
+    start = jnp.ones((), bool)
     output = jax.eval_shape(_forward, params, observation, memory, start)
     auxiliary = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), output.auxiliary)
     return AgentState(observed, memory, start, auxiliary)
@@ -629,10 +640,13 @@ def _init_labelled(scenario: Scenario, params: tuple, state: State) -> LabelledS
 def _apply_labelled(
     scenario: Scenario, params: tuple, state: State, key: Array
 ) -> tuple[Float[Array, "2"], LabelledState]:
-    (driver, deviation, labeller), memory = params, state.policy_state
+    driver, deviation, labeller = params
+    memory = state.policy_state
     other_key = jax.random.fold_in(key, 1)
     command, driving = episodes.command(scenario, driver, replace(state, policy_state=memory.driver), key)
-    label, labelling, noise = command, None, memory.noise
+    label = command
+    labelling = None
+    noise = memory.noise
     if deviation is not None:
         stays = math.exp(-scenario.time_step / NOISE_TIME)
         fresh = jax.random.normal(other_key, (2,), noise.dtype)

@@ -65,7 +65,8 @@ def update(
     last = rollouts.forward(network, agent, envs[0].member.observations, batch)
 
     # Generalized advantage estimation (J. Schulman et al., ICLR 2016); the target is its TD(lambda) return.
-    discount, decay = hyperparameters["discount"], hyperparameters["advantage_decay"]
+    discount = hyperparameters["discount"]
+    decay = hyperparameters["advantage_decay"]
     advantage = rollouts.advantages(transitions, last.value, discount, decay)  # (T, B)
     target = advantage + transitions.value
 
@@ -109,7 +110,8 @@ def clipped_loss(
         target: of the critic, in units of the reward.
     """
     log_ratio = log_density(output, transitions.action) - transitions.log_density
-    ratio, clip = jnp.exp(log_ratio), hyperparameters["clip"]
+    ratio = jnp.exp(log_ratio)
+    clip = hyperparameters["clip"]
     gain = (advantage - advantage.mean()) / (advantage.std() + EPSILON)
     clipped = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)
     actor = -jnp.minimum(ratio * gain, clipped * gain).mean()

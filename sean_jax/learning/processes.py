@@ -38,7 +38,8 @@ def on_all_processes(work: Callable[[], Result]) -> Result:
     """
     if jax.process_count() == 1:
         return work()
-    result, refusal = None, None
+    result = None
+    refusal = None
     try:
         result = work()
     except SeanError as error:

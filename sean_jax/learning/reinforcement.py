@@ -155,7 +155,8 @@ def _without_metrics(env: mdp.Env) -> mdp.Env:
 
 def _check_floors(options: ReinforcementConfig, environments: int, floors: int) -> None:
     """Refuse scenarios that do not divide among the floors of an environment, and a curriculum on several."""
-    scenarios, curriculum = options.scenarios // environments, options.curriculum
+    scenarios = options.scenarios // environments
+    curriculum = options.curriculum
     if scenarios % floors:
         raise InputError(
             f"scenarios: {scenarios} do not divide equally among {floors} floors and robots; take a multiple."
@@ -220,7 +221,8 @@ def _sharding(mesh: Mesh, *axes: str | None) -> NamedSharding:
 
 def unused_devices(agents: int) -> str | None:
     """A sentence on the devices that a training of that many agents leaves idle; None if it takes all."""
-    used, count = device_layout(agents).mesh.size, len(jax.devices())
+    used = device_layout(agents).mesh.size
+    count = len(jax.devices())
     if used == count:
         return None
     return f"{agents} agents divide among {used} of {count} devices; the others are idle. Train a multiple of {count}."
@@ -242,7 +244,8 @@ class Context(NamedTuple):
 def programs(options: ReinforcementConfig, network: ActorCritic, layout: DeviceLayout) -> Programs:
     """The compiled functions of a training."""
     context = make_context(options, network)
-    whole, placed = _sharding(layout.mesh), placement(layout)
+    whole = _sharding(layout.mesh)
+    placed = placement(layout)
     return Programs(
         begin=jax.jit(functools.partial(begin, context)),
         update=jax.jit(functools.partial(update, context), donate_argnums=1, out_shardings=(placed, whole)),
@@ -293,7 +296,8 @@ def begin_agent(
     context: Context, envs: Envs, agent: Agent, key: Array, curriculum_key: Array
 ) -> tuple[PyTree, EnvBatch, Curriculum | None]:
     """An agent's optimizer, scenarios and curriculum before the first update."""
-    options, plan = context.options, context.plan
+    options = context.options
+    plan = context.plan
     reset_key, age_key = jax.random.split(jax.random.fold_in(key, 0))
     batch = rollouts.reset_envs(envs, context.network, reset_key, options.scenarios)
     if options.behavior.kind != "playback":  # whose people are where they are by the tick
@@ -309,7 +313,8 @@ def begin_agent(
 
 def update(context: Context, envs: Envs, state: TrainState) -> tuple[TrainState, dict[str, Any]]:
     """One update of all agents: collect and learn, follow the curriculum, then the multipliers of costs."""
-    limits, number = context.options.cost_limits, state.update + 1
+    limits = context.options.cost_limits
+    number = state.update + 1
     hyperparameters = scheduled(context, state)
     advance = functools.partial(update_agent, context, envs, number)
     assert state.rows is not None
@@ -337,7 +342,8 @@ def update(context: Context, envs: Envs, state: TrainState) -> tuple[TrainState,
 
 def scheduled(context: Context, state: TrainState) -> dict[str, Float[Array, "A"]]:
     """The hyperparameters (A,) of the next update."""
-    options, hyperparameters = context.options, context.hyperparameters
+    options = context.options
+    hyperparameters = context.hyperparameters
     rate = hyperparameters["learning_rate"]
     if options.learning_rate_schedule == "linear":
         rate = rate * (1.0 - state.update.astype(jnp.float32) / options.updates)
@@ -372,7 +378,8 @@ def update_agent(
     agent, optimizer, batch, transitions, metrics = context.method.update(
         context.options, hyperparameters, envs, *learner, update_key
     )
-    info, done = transitions.info, transitions.done
+    info = transitions.info
+    done = transitions.done
     curriculum, curriculum_metrics = curricula.follow(member, context.plan, curriculum, info, done)
     return agent, optimizer, batch, curriculum, metrics | curriculum_metrics
 
@@ -658,7 +665,8 @@ class Recent:
 
     def note(self) -> str:
         """The means in words."""
-        words, number = "no episode has ended", self._number()
+        words = "no episode has ended"
+        number = self._number()
         if number:
             value, completed = (sum(each[name] for each in self._updates) / number for name in ("return", "completed"))
             words = f"last {number:,.0f} episodes: return {value:.1f}, completed {completed:.0%}"
@@ -684,10 +692,12 @@ class Course(NamedTuple):
 
 def _advance(course: Course, state: TrainState) -> tuple[TrainState, Report]:
     """An update, and an evaluation if it is due."""
-    options, envs = course.options, course.setting.envs
+    options = course.options
+    envs = course.setting.envs
     start = time.time()
     state, metrics = course.run.update(envs, state)
-    number, metrics = int(state.update), jax.tree.map(np.asarray, metrics)
+    number = int(state.update)
+    metrics = jax.tree.map(np.asarray, metrics)
     if state.curriculum is not None and number % options.curriculum_every == 0:
         state = course.run.refill(envs, state)
     if not np.isfinite(metrics["train"]["loss"]).all():
@@ -696,7 +706,8 @@ def _advance(course: Course, state: TrainState) -> tuple[TrainState, Report]:
             "try a lower --learning-rate in another folder."
         )
 
-    steps, seconds = options.scenarios * options.horizon, time.time() - start
+    steps = options.scenarios * options.horizon
+    seconds = time.time() - start
     all_steps = len(options.agents) * steps
     course.recent.add(metrics["episodes"], all_steps, seconds)
     line: dict[str, Any] = {
@@ -723,7 +734,9 @@ def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
         InputError: the pretrained agent is missing, or sees something else.
         IncompleteError: its checkpoint cannot be read.
     """
-    (scenario, *_), env, network = setting.scenarios, setting.envs[0].member, setting.network
+    scenario, *_ = setting.scenarios
+    env = setting.envs[0].member
+    network = setting.network
     keys = agent_keys(options, "weights")
     if options.pretrained is None:
         return jax.jit(lambda keys: init_agents(network, env.observations, env.observation_space, keys))(keys)
@@ -749,7 +762,8 @@ def _imitate(options: ReinforcementConfig, setting: Setting, teachers: tuple[Pol
 def _evaluate(course: Course, state: TrainState) -> tuple[TrainState, dict[str, dict]]:
     """The state with its best agents, and the evaluation: means of all environments and agents, and, if there are
     several, of each environment and of each agent."""
-    options, (scenarios, envs, _) = course.options, course.setting
+    options = course.options
+    scenarios, envs, _ = course.setting
     envs = tuple(env.with_fields(pool=None) for env in envs)
     value, means = course.run.evaluate(scenarios, envs, course.starts, state.agent)
     state = course.run.keep_best(state, jnp.asarray(value, jnp.float32))
@@ -812,7 +826,8 @@ def _agent_folder(folder: Path) -> Path:
 
 def _check_pretrained(options: ReinforcementConfig, folder: Path) -> None:
     """Refuse an agent with other observations or of another size."""
-    saved, current = user_parts.by_content(policies.read_options(folder)), user_parts.by_content(options)
+    saved = user_parts.by_content(policies.read_options(folder))
+    current = user_parts.by_content(options)
     for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16", "network", "distribution"):
         if saved[name] != current[name]:
             raise InputError(f"pretrained: {folder} has {name} {saved[name]}, not {current[name]}; ask for the same.")

@@ -98,7 +98,8 @@ def with_pool(env: Stack[mdp.Env], *arguments: Any) -> Stack[mdp.Env]:
 def reset_envs(envs: Envs, network: ActorCritic, key: Array, number: int) -> EnvBatch:
     """``number`` scenarios at the start of their first episodes, from the pools; the key is a typed PRNG key ()."""
     keys = split_by_env(jax.random.split(key, number), len(envs))
-    observed, states = [], []
+    observed = []
+    states = []
     for env, env_keys in zip(envs, keys, strict=True):
         env_observation, env_states = env.vmap(mdp.Env.start)(env_keys)
         observed.append(env_observation)
@@ -114,7 +115,8 @@ def flat_observations(terms: observations.Terms, observation: dict[str, Array]) 
 
 def forward(network: ActorCritic, agent: Agent, terms: observations.Terms, batch: EnvBatch) -> NetworkOutput:
     """The network's output (B, ...) for the present observations."""
-    vector, images = flat_observations(terms, batch.observation), _images(network, batch)
+    vector = flat_observations(terms, batch.observation)
+    images = _images(network, batch)
     return networks.apply(network, agent, vector, images, batch.memory, batch.start)
 
 
@@ -139,17 +141,20 @@ def step(
         output: of the agent, for its value and the log density of the action.
         key: () typed PRNG key of the episodes that begin.
     """
-    terms, keys = envs[0].member.observations, jax.random.split(key, batch.start.shape[0])
+    terms = envs[0].member.observations
+    keys = jax.random.split(key, batch.start.shape[0])
 
     # Each environment steps its own share of the scenarios.
     shares = split_by_env(keys, len(envs)), batch.envs, split_by_env(action, len(envs))
-    states, results = [], []
+    states = []
+    results = []
     for env, env_keys, env_states, env_actions in zip(envs, *shares, strict=True):
         observation, env_states, *rest = env.vmap(mdp.Env.step)(env_keys, env_states, env_actions)
         states.append(env_states)
         results.append((observation, *rest))
     following, reward, terminated, truncated, info = merge_envs(results)
-    states, done = tuple(states), terminated | truncated
+    states = tuple(states)
+    done = terminated | truncated
 
     # A truncated episode is worth the value of its last state.
     ended = EnvBatch(states, info["final_observation"], output.memory, jnp.zeros_like(done))
@@ -306,7 +311,9 @@ def shuffled_rows(key: Array, number: int, minibatches: int) -> Int[Array, "mini
 
 def take_rows(values: Array, rows: Int[Array, "blocks rows"], axis: int) -> Array:
     """The rows of each block of an axis, one block after the other: a minibatch of ``shuffled_rows``."""
-    before, number, after = values.shape[:axis], values.shape[axis], values.shape[axis + 1 :]
+    before = values.shape[:axis]
+    number = values.shape[axis]
+    after = values.shape[axis + 1 :]
     blocks, taken = rows.shape
     parts = values.reshape(*before, blocks, number // blocks, *after)
 

@@ -89,7 +89,8 @@ def update(
         envs = tuple(env.map_member(_without_people) for env in envs)
 
     # The target critic values the end of the horizon: it changes slowly, so the actor chases no moving goal.
-    memory, discount = batch.memory, hyperparameters["discount"]
+    memory = batch.memory
+    discount = hyperparameters["discount"]
     target_critic = replace(agent, parameters=optimizer.target)
 
     # The actor makes one step along the gradient through the simulator.
@@ -167,7 +168,8 @@ def _actor_loss(horizon: Horizon, actor: Agent) -> tuple[Array, tuple[EnvBatch, 
         batch, transition = rollouts.step(envs, network, target_critic, batch, output, action, next_key)
 
         # An episode that ends here is worth the value of its last state; the next one begins undiscounted.
-        gain = weight * (transition.reward + jnp.where(transition.done, discount * transition.final_value, 0.0))
+        final_value = jnp.where(transition.done, discount * transition.final_value, 0.0)
+        gain = weight * (transition.reward + final_value)
         weight = jnp.where(transition.done, 1.0, weight * discount)
         return (batch, weight), (gain, transition._replace(value=value))
 

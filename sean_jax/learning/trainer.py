@@ -128,7 +128,10 @@ def fit(
 
     # A signal ends it between two epochs, but not while the first one compiles.
     tell.stage("compiling")
-    signals, stops, compiled, unsaved = [], False, False, None
+    signals = []
+    stops = False
+    compiled = False
+    unsaved = None
     with contextlib.ExitStack() as stack:
         try:
             # A loop may be over at once: that of a finished training that is started again.
@@ -213,14 +216,16 @@ def _scalars(line: dict[str, Any]) -> Iterator[tuple[str, float]]:
 
 def read_metrics(folder: Path) -> list[dict[str, Any]]:
     """The complete lines of a training's log, up to the first that is damaged; a kill may have cut the last one."""
-    file, lines = folder / METRICS, []
+    file = folder / METRICS
+    lines = []
     log = files.read_text(file, files.MAX_RECORD) if file.exists() else ""
     if files.count_values(log) > files.MAX_JSON_VALUES:
         raise files.file_error(file, "has more lines than can be shown; keep the last ones")
     for text in log.splitlines():
         try:
             line = files.parse_json(text, finite=False)
-            epoch, clock = int(line["epoch"]), float(line["time"])
+            epoch = int(line["epoch"])
+            clock = float(line["time"])
             if not 0.0 <= clock < math.inf:
                 break
             lines.append({**line, "epoch": epoch, "time": clock})

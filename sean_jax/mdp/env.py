@@ -148,7 +148,8 @@ class Env:
         Returns:
             The state, the observation, the reward, ``terminated``, ``truncated``, and ``info``.
         """
-        scenario, before = self.scenario_of(state.randomization), state.simulation
+        scenario = self.scenario_of(state.randomization)
+        before = state.simulation
         command = to_command(scenario.robot, jnp.asarray(action, before.robot.position.dtype))
         commands = jnp.concatenate([command[None], state.commands[:-1]])
         after = step(scenario, before, commands[state.late])
@@ -325,13 +326,15 @@ def make_env(
 def _try_env(env: Env, key: Array) -> None:
     """A reset, and the functions that read a step; the step itself is the scenario's."""
     _, state = env.reset(key)
-    scenario, simulation = env.scenario_of(state.randomization), state.simulation
+    scenario = env.scenario_of(state.randomization)
+    simulation = state.simulation
     if jax.tree.structure(scenario) == jax.tree.structure(env.scenario):  # not with another term of its forces, say
         for (path, old), new in zip(jax.tree.leaves_with_path(env.scenario), jax.tree.leaves(scenario), strict=True):
             if jnp.shape(old) != jnp.shape(new):
                 name = jax.tree_util.keystr(path, simple=True, separator=".")
                 function: Any = getattr(env.randomization, "function", env.randomization)
-                result, cure = f"{name} of shape {jnp.shape(new)}", "keep the shapes of the scenario"
+                result = f"{name} of shape {jnp.shape(new)}"
+                cure = "keep the shapes of the scenario"
                 raise user_calls.wrong("randomization", function, result, str(jnp.shape(old)), cure)
     rewarding.of_step(env.rewards, scenario, simulation, simulation, state.potentials, state.potentials)
     env.ends(scenario, simulation, simulation)

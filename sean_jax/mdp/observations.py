@@ -116,14 +116,16 @@ def _goal_heading(scenario: Scenario, state: State, prepared: tuple) -> Array:
 
 def _path(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """The next corner of the shortest path, or the goal: (2,) m."""
-    robot, task = state.robot, state.task
+    robot = state.robot
+    task = state.task
     ahead = navigation.next_point(scenario.navigation, robot.position, task.goal, task.paths_to_goal)
     return _shortened(_in_frame(state, ahead - robot.position))
 
 
 def _distance(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """Length of the shortest path that is left: (1,) m."""
-    robot, task = state.robot, state.task
+    robot = state.robot
+    task = state.task
     remaining = navigation.geodesic(scenario.navigation, robot.position, task.goal, task.paths_to_goal)
     return remaining[None]
 
@@ -146,16 +148,19 @@ def _robot(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """
     model = scenario.robot
     radius = jnp.asarray(model.radius, float)
-    speeds = model.max_speed, max_reverse_speed(model)
+    reverse = max_reverse_speed(model)
     deceleration = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
+    driving = model.max_speed, reverse, model.max_acceleration, deceleration
     turning = model.max_turn_rate, model.max_turn_acceleration
-    return jnp.stack([radius, *speeds, model.max_acceleration, deceleration, *turning])
+    return jnp.stack([radius, *driving, *turning])
 
 
 def _time(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """Share of the time limit that has passed, and of the hold at the goal: (2,)."""
-    passed = state.tick.astype(float) * scenario.time_step / scenario.time_limit
-    hold = state.ticks_at_goal.astype(float) * scenario.time_step / jnp.maximum(scenario.hold_time, scenario.time_step)
+    time_step = scenario.time_step
+    passed = state.tick.astype(float) * time_step / scenario.time_limit
+    hold_time = jnp.maximum(scenario.hold_time, time_step)
+    hold = state.ticks_at_goal.astype(float) * time_step / hold_time
     return jnp.stack([passed, hold])
 
 
@@ -178,8 +183,12 @@ def people(nearest: int = NEAREST, reach: float = REACH, visible: bool = False) 
     Args:
         visible: leave out people to whom the straight line from the robot crosses an obstacle.
     """
-    read, sensing = (_visible_people, "tracks") if visible else (_people, "all-knowing")
-    return ObservationTerm(functools.partial(read, nearest, reach), -reach, reach, people=True, sensing=sensing)
+    if visible:
+        read, sensing = _visible_people, "tracks"
+    else:
+        read, sensing = _people, "all-knowing"
+    read = functools.partial(read, nearest, reach)
+    return ObservationTerm(read, -reach, reach, people=True, sensing=sensing)
 
 
 def _visible_people(nearest: int, reach: float, scenario: Scenario, state: State, prepared: tuple) -> Array:
@@ -187,7 +196,8 @@ def _visible_people(nearest: int, reach: float, scenario: Scenario, state: State
     0 or 1.
     """
     rows = _people(nearest, reach, scenario, state, prepared)
-    position, heading = state.robot.position, state.robot.heading
+    position = state.robot.position
+    heading = state.robot.heading
     x, y = rotate(rows[:, 0], rows[:, 1], heading[0], heading[1])
 
     # The barrier keeps the places of people out of the loop over obstacles.
@@ -207,8 +217,10 @@ def _people(nearest: int, reach: float, scenario: Scenario, state: State, prepar
     visible = square[index] <= reach * reach
 
     # Rows beyond the reach, and those for which there is nobody, are 0.
-    velocity = jnp.clip(_in_frame(state, persons.velocity[index]), -MAX_SPEED, MAX_SPEED)
-    position, presence = _in_frame(state, gap[index]), jnp.ones((count, 1), float)
+    velocity = _in_frame(state, persons.velocity[index])
+    velocity = jnp.clip(velocity, -MAX_SPEED, MAX_SPEED)
+    position = _in_frame(state, gap[index])
+    presence = jnp.ones((count, 1), float)
     rows = jnp.concatenate([position, velocity, presence], 1)  # (count, 5)
     rows = jnp.where(visible[:, None], rows, 0.0)
     return jnp.pad(rows, ((0, nearest - count), (0, 0)))
@@ -218,14 +230,17 @@ def _obstacles(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """The nearest obstacles within 3 m: direction (0 for none) and distance of each, (3, 3) of a unit vector and m."""
     x, y = state.robot.position[0], state.robot.position[1]
     rectangles = nearby_obstacles(scenario.environment.obstacle_grid, x, y)  # (R, 6)
-    distance, nx, ny = from_rectangle(x, y, *(rectangles[:, column] for column in range(6)))
-    count = min(SURFACES, distance.shape[0])
+    columns = (rectangles[:, column] for column in range(6))
+    distance, nx, ny = from_rectangle(x, y, *columns)
+    count = min(SURFACES, len(distance))
     negative, index = jax.lax.top_k(-distance, count)
     visible = -negative < NEAR
 
-    direction = _in_frame(state, -jnp.stack([nx[index], ny[index]], -1))  # the normal points to the robot
+    normal = jnp.stack([nx[index], ny[index]], -1)  # which points to the robot
+    direction = _in_frame(state, -normal)
     direction = jnp.where(visible[:, None], direction, 0.0)
-    rows = jnp.concatenate([direction, jnp.minimum(-negative, NEAR)[:, None]], 1)
+    shown_distance = jnp.minimum(-negative, NEAR)
+    rows = jnp.concatenate([direction, shown_distance[:, None]], 1)
     missing = jnp.tile(jnp.array([[0.0, 0.0, NEAR]], float), (SURFACES - count, 1))
     return jnp.concatenate([rows, missing])
 
@@ -323,7 +338,8 @@ Terms = tuple[tuple[str, ObservationTerm], ...]
 
 def sensing(terms: Terms) -> str:
     """The class of a policy that reads these terms, one of ``data_types.SENSING``."""
-    return next(each for each in SENSING if each == "raw" or any(term.sensing == each for _, term in terms))
+    needed = {term.sensing for _, term in terms}
+    return next(knowledge for knowledge in SENSING if knowledge == "raw" or knowledge in needed)
 
 
 def delayed(term: ObservationLike, least: int, most: int | None = None) -> ObservationTerm:
@@ -413,7 +429,8 @@ def begin(terms: Terms, scenario: Scenario, state: State, key: Array) -> tuple[d
     readings = {name: _read(term, scenario, state, prepared[name]) for name, term in terms}
 
     # A term with earlier readings has a line of them, newest first, and a delay for the episode.
-    lines, delays = {}, {}
+    lines = {}
+    delays = {}
     for number, (name, term) in enumerate(terms):
         if term.readings > 1:
             least, most = term.delay
@@ -462,9 +479,12 @@ def _of_line(term: ObservationTerm, line: Array, delay: Array) -> Array:
 
 def space(terms: Terms, scenario: Scenario, state: State) -> dict[str, Box]:
     """Name -> bounds and shape of each term; ``state`` may be the shapes of one."""
-    shapes = jax.eval_shape(
-        lambda scenario, state: begin(terms, scenario, state, jax.random.key(0))[0], scenario, state
-    )
+
+    def first_observation(scenario: Scenario, state: State) -> dict[str, Array]:
+        observation, _ = begin(terms, scenario, state, jax.random.key(0))
+        return observation
+
+    shapes = jax.eval_shape(first_observation, scenario, state)
     return {name: Box(term.low, term.high, shapes[name].shape) for name, term in terms}
 
 

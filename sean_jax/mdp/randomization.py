@@ -172,7 +172,8 @@ def _of_robot(name: str, scenario: Scenario, value: Array) -> Scenario:
 
 def _of_sensors(name: str, scenario: Scenario, value: Array) -> Scenario:
     """An error of all sensors that measure distances."""
-    none, change = jnp.zeros_like(value), {name: value}
+    none = jnp.zeros_like(value)
+    change = {name: value}
     common = scenario.sensor_errors or DistanceErrors(none, none, none)
     sensors = tuple(
         replace(each, params=replace(each.params, **change)) if isinstance(each.params, DistanceErrors) else each

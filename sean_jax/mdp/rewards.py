@@ -121,7 +121,8 @@ def _personal_space(scenario: Scenario, before: State, after: State) -> Array:
 
 def _o_space(scenario: Scenario, before: State, after: State) -> Array:
     """Seconds inside the o-space of groups that the task has nothing to do with, by how deep."""
-    groups, task = after.groups, after.task
+    groups = after.groups
+    task = after.task
     x, y = (groups.center - after.robot.position[None, :]).T
     depth = jnp.maximum(1.0 - length(x, y) / jnp.maximum(groups.radius, 0.1), 0.0)
     number = jnp.arange(groups.present.shape[0], dtype=jnp.int32)
@@ -293,7 +294,8 @@ def call(part: str, function: Callable, arguments: str, scenario: Scenario, *sta
     try:
         return user_calls.call(part, function, arguments, scenario, *states)
     except PartError as error:
-        missing, known = error.__cause__, metrics.METRICS.keys() - dict(scenario.metrics).keys()
+        missing = error.__cause__
+        known = metrics.METRICS.keys() - dict(scenario.metrics).keys()
         if not isinstance(missing, KeyError) or missing.args[0] not in known:
             raise
         raise PartError(

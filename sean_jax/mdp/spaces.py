@@ -29,7 +29,8 @@ def action_space(robot: RobotModel) -> Box:
 
 def to_command(robot: RobotModel, action: Float[Array, "command"]) -> Float[Array, "command"]:
     """The command [m/s, rad/s] of an action, clipped to -1 to 1."""
-    ahead, turn = jnp.clip(action[0], -1.0, 1.0), jnp.clip(action[-1], -1.0, 1.0)
+    ahead = jnp.clip(action[0], -1.0, 1.0)
+    turn = jnp.clip(action[-1], -1.0, 1.0)
     top = jnp.where(ahead >= 0.0, robot.max_speed, max_reverse_speed(robot))
     speed = ahead * top
     if robot.lateral is not None:
@@ -37,8 +38,10 @@ def to_command(robot: RobotModel, action: Float[Array, "command"]) -> Float[Arra
         return jnp.stack([speed, left, turn * robot.max_turn_rate])
     if robot.steering is not None:
         angle = turn * robot.steering.max_angle
-        return jnp.stack([speed, ackermann.turn_rate_of(robot, speed, angle)])
-    return jnp.stack([speed, turn * robot.max_turn_rate])
+        turn_rate = ackermann.turn_rate_of(robot, speed, angle)
+    else:
+        turn_rate = turn * robot.max_turn_rate
+    return jnp.stack([speed, turn_rate])
 
 
 def to_action(robot: RobotModel, command: Float[Array, "command"]) -> Float[Array, "command"]:
@@ -49,7 +52,9 @@ def to_action(robot: RobotModel, command: Float[Array, "command"]) -> Float[Arra
         return jnp.clip(command / jnp.maximum(tops, 1e-6), -1.0, 1.0)
     if robot.steering is not None:
         angle = ackermann.steering_angle(robot, command[0], command[1], jnp.zeros_like(command[0]))
-        shares = jnp.stack([command[0] / jnp.maximum(top, 1e-6), angle / robot.steering.max_angle])
-        return jnp.clip(shares, -1.0, 1.0)
-    action = jnp.stack([command[0] / jnp.maximum(top, 1e-6), command[1] / jnp.maximum(robot.max_turn_rate, 1e-6)])
-    return jnp.clip(action, -1.0, 1.0)
+        ahead = command[0] / jnp.maximum(top, 1e-6)
+        turn = angle / robot.steering.max_angle
+    else:
+        ahead = command[0] / jnp.maximum(top, 1e-6)
+        turn = command[1] / jnp.maximum(robot.max_turn_rate, 1e-6)
+    return jnp.clip(jnp.stack([ahead, turn]), -1.0, 1.0)

@@ -22,7 +22,9 @@ from sean_jax.metrics.metric import (
 
 def _read_metrics() -> tuple[dict[str, Metric], dict[str, dict[str, Metric]]]:
     """The metrics of metrics.yaml by name, and by topic and name."""
-    functions, by_name, by_topic = vars(path) | vars(proximity), {}, {}
+    functions = vars(path) | vars(proximity)
+    by_name = {}
+    by_topic = {}
     rows = files.read_yaml(Path(__file__).with_name("metrics.yaml"))[1]
     for name, fields in rows.items():
         group = by_topic.setdefault(fields.pop("topic"), {})

@@ -93,7 +93,8 @@ def aggregate_ratio(
     Raises:
         InputError: there is no episode, shapes differ, a number is not finite, or a denominator is negative.
     """
-    above, below = np.asarray(numerator, np.float64), np.asarray(denominator, np.float64)
+    above = np.asarray(numerator, np.float64)
+    below = np.asarray(denominator, np.float64)
     if above.shape != below.shape or above.ndim not in (1, 2) or not above.size:
         shapes = f"{above.shape} and {below.shape}"
         raise InputError(f"episodes: shapes {shapes} must be equal, (E,) or (E, 1 + S), with an E of 1 or more.")
@@ -107,7 +108,8 @@ def aggregate_ratio(
     columns = above.reshape(len(above), -1).T, below.reshape(len(above), -1).T
     estimates = [_column(top, bottom, weights, level, bounds) for top, bottom in zip(*columns, strict=True)]
     mean, low, high = (np.array(values).reshape(shape) for values in zip(*estimates, strict=True))
-    return Estimate(mean, low, high, np.count_nonzero(below, axis=0) * np.ones(shape, np.int64))
+    episodes = np.count_nonzero(below, axis=0) * np.ones(shape, np.int64)
+    return Estimate(mean, low, high, episodes)
 
 
 def resamples(episodes: int, seed: int = 0, count: int | None = None, cluster: int = 1) -> np.ndarray:
@@ -153,13 +155,15 @@ def predictive_resamples(strata: int, size: int, future: int, seed: int = 0) -> 
     draw = np.random.default_rng(seed)
     counts = draw.multinomial(future, np.full(size, 1 / size), size=(RESAMPLES, strata))
     wider = math.sqrt((size + future) / (size - 1))
-    return _students(1.0 + wider * (size / future * counts - 1.0), strata * (size - 1), draw)
+    weights = 1.0 + wider * (size / future * counts - 1.0)
+    return _students(weights, strata * (size - 1), draw)
 
 
 def _students(weights: np.ndarray, freedom: int, draw: np.random.Generator) -> np.ndarray:
     """(R, strata * size) of weights (R, strata, size) of mean 1, so that normal means have Student's distribution."""
     factor = np.sqrt(freedom / draw.chisquare(freedom, (len(weights), 1, 1)))
-    return (1.0 + factor * (weights - 1.0)).reshape(len(weights), -1).astype(np.float32)
+    weights = 1.0 + factor * (weights - 1.0)
+    return weights.reshape(len(weights), -1).astype(np.float32)
 
 
 def hierarchical_resamples(sizes: Sequence[int]) -> np.ndarray:
@@ -218,7 +222,9 @@ def of_share(estimate: Estimate, level: float = 0.95, where: ArrayLike = True, c
     half = np.sqrt(square * (share * (1 - share) + square / (4 * number)) / number) / scale
     low = np.where(share == 0, 0.0, middle - half)
     high = np.where(share == 1, 1.0, middle + half)
-    return estimate._replace(low=np.where(known, low, estimate.low), high=np.where(known, high, estimate.high))
+    low = np.where(known, low, estimate.low)
+    high = np.where(known, high, estimate.high)
+    return estimate._replace(low=low, high=high)
 
 
 def of_count(estimate: Estimate, level: float = 0.95, cluster: int = 1) -> Estimate:

@@ -29,7 +29,9 @@ class Difference(NamedTuple):
         """Cohen's d, for paired episodes d_z: the difference in standard deviations, infinite if there is none."""
         if self.difference == 0.0:
             return 0.0
-        return self.difference / self.deviation if self.deviation > 0 else math.copysign(math.inf, self.difference)
+        if self.deviation > 0:
+            return self.difference / self.deviation
+        return math.copysign(math.inf, self.difference)
 
 
 def difference(first: np.ndarray, second: np.ndarray, paired: bool) -> Difference | None:
@@ -44,19 +46,24 @@ def difference(first: np.ndarray, second: np.ndarray, paired: bool) -> Differenc
     """
     if paired:
         valid = np.isfinite(first) & np.isfinite(second)
-        a, b = first[valid], second[valid]
+        a = first[valid]
+        b = second[valid]
     else:
-        a, b = first[np.isfinite(first)], second[np.isfinite(second)]
+        a = first[np.isfinite(first)]
+        b = second[np.isfinite(second)]
     if not (len(a) and len(b)):
         return None
 
     if paired:
         gaps = b - a
-        mean, deviation = float(gaps.mean()), float(gaps.std(ddof=1)) if len(gaps) > 1 else 0.0
+        mean = float(gaps.mean())
+        deviation = float(gaps.std(ddof=1)) if len(gaps) > 1 else 0.0
     else:
-        mean, deviation = float(b.mean() - a.mean()), _pooled_deviation(a, b)
+        mean = float(b.mean() - a.mean())
+        deviation = _pooled_deviation(a, b)
     low, high = _newcombe(a, b, paired) if _is_share(a, b) else _bootstrap(first, second, paired)
-    return Difference(float(a.mean()), float(b.mean()), mean, low, high, deviation, p_value(a, b, paired))
+    p = p_value(a, b, paired)
+    return Difference(float(a.mean()), float(b.mean()), mean, low, high, deviation, p)
 
 
 def p_value(a: np.ndarray, b: np.ndarray, paired: bool) -> float:
@@ -65,10 +72,13 @@ def p_value(a: np.ndarray, b: np.ndarray, paired: bool) -> float:
     Figures that are 0 or 1 in each episode have McNemar's exact test if they are paired, else Fisher's. All others have
     Student's test of the differences or Welch's; no p-value is smaller than permutations of so few episodes could give.
     """
-    if np.all(a == b) if paired else np.ptp(np.concatenate([a, b])) == 0:
+    same = np.all(a == b) if paired else np.ptp(np.concatenate([a, b])) == 0
+    if same:
         return math.nan
     if _is_share(a, b):
-        return _mcnemar(b - a) if paired else _fisher(a, b)
+        if paired:
+            return _mcnemar(b - a)
+        return _fisher(a, b)
     p, smallest = _student(b - a) if paired else _welch(a, b)
     return float(min(max(p, smallest), 1.0))
 
@@ -76,13 +86,18 @@ def p_value(a: np.ndarray, b: np.ndarray, paired: bool) -> float:
 def _mcnemar(gaps: np.ndarray) -> float:
     from scipy import stats
 
-    return float(stats.binomtest(int((gaps > 0).sum()), int(np.count_nonzero(gaps))).pvalue)
+    above = int((gaps > 0).sum())
+    different = int(np.count_nonzero(gaps))
+    return float(stats.binomtest(above, different).pvalue)
 
 
 def _fisher(a: np.ndarray, b: np.ndarray) -> float:
     from scipy import stats
 
-    table = [[int(values.sum()), len(values) - int(values.sum())] for values in (a, b)]
+    table = []
+    for values in (a, b):
+        count = int(values.sum())
+        table.append([count, len(values) - count])
     return float(stats.fisher_exact(table).pvalue)  # pyright: ignore[reportAttributeAccessIssue]
 
 
@@ -100,14 +115,19 @@ def _welch(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
     square = sum(squares)
     shares = [part**2 / max(len(values) - 1, 1) for part, values in zip(squares, (a, b), strict=True)]
     freedom = square**2 / sum(shares) if square else 0.0
-    return _two_sided(b.mean() - a.mean(), square, freedom), 2 / math.comb(len(a) + len(b), len(a))
+    p = _two_sided(b.mean() - a.mean(), square, freedom)
+    permutations = math.comb(len(a) + len(b), len(a))
+    return p, 2 / permutations
 
 
 def _two_sided(mean: float, square: float, freedom: float) -> float:
     """The p-value of a mean of this squared standard error; 0 without any."""
     from scipy import stats
 
-    return 2 * float(stats.t.sf(abs(mean) / math.sqrt(square), freedom)) if square else 0.0
+    if not square:
+        return 0.0
+    statistic = abs(mean) / math.sqrt(square)
+    return 2 * float(stats.t.sf(statistic, freedom))
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -119,9 +139,11 @@ def holm(p: Sequence[float]) -> list[float]:
     (1979).
     """
     tests = sorted((value, k) for k, value in enumerate(p) if math.isfinite(value))
-    largest, corrected = 0.0, [math.nan] * len(p)
+    largest = 0.0
+    corrected = [math.nan] * len(p)
     for rank, (value, k) in enumerate(tests):
-        largest = max(largest, min(1.0, (len(tests) - rank) * value))
+        remaining = len(tests) - rank
+        largest = max(largest, min(1.0, remaining * value))
         corrected[k] = largest
     return corrected
 
@@ -133,7 +155,9 @@ def _is_share(a: np.ndarray, b: np.ndarray) -> bool:
 def _pooled_deviation(a: np.ndarray, b: np.ndarray) -> float:
     freedom = len(a) + len(b) - 2
     squares = ((a - a.mean()) ** 2).sum() + ((b - b.mean()) ** 2).sum()
-    return math.sqrt(squares / freedom) if freedom else 0.0
+    if freedom:
+        return math.sqrt(squares / freedom)
+    return 0.0
 
 
 @functools.lru_cache(maxsize=2)  # 160 MB each at most
@@ -145,7 +169,8 @@ def _bootstrap(first: np.ndarray, second: np.ndarray, paired: bool) -> tuple[flo
     if paired:
         estimate = aggregate(second - first, weights=_weights(len(first), 0))
         return float(estimate.low), float(estimate.high)
-    first_means, second_means = _resampled_means(first, 0), _resampled_means(second, 1)
+    first_means = _resampled_means(first, 0)
+    second_means = _resampled_means(second, 1)
     count = min(len(first_means), len(second_means))
     gaps = second_means[:count] - first_means[:count]
     low, high = interval(gaps[np.isfinite(gaps)])
@@ -154,9 +179,11 @@ def _bootstrap(first: np.ndarray, second: np.ndarray, paired: bool) -> tuple[flo
 
 def _resampled_means(values: np.ndarray, seed: int) -> np.ndarray:
     """(R,) means of the finite values in resamples; NaN without any."""
-    weights, finite = _weights(len(values), seed), np.isfinite(values)
+    weights = _weights(len(values), seed)
+    finite = np.isfinite(values)
     number = weights @ finite
-    return np.where(number > 0, weights @ np.where(finite, values, 0.0), np.nan) / np.maximum(number, 1)
+    total = weights @ np.where(finite, values, 0.0)
+    return np.where(number > 0, total, np.nan) / np.maximum(number, 1)
 
 
 def _newcombe(a: np.ndarray, b: np.ndarray, paired: bool) -> tuple[float, float]:
@@ -164,9 +191,17 @@ def _newcombe(a: np.ndarray, b: np.ndarray, paired: bool) -> tuple[float, float]
     p, p_low, p_high = _wilson(a)
     q, q_low, q_high = _wilson(b)
     phi = _phi(a, b) if paired else 0.0
-    down = (q - q_low) ** 2 - 2 * phi * (q - q_low) * (p_high - p) + (p_high - p) ** 2
-    up = (q_high - q) ** 2 - 2 * phi * (q_high - q) * (p - p_low) + (p - p_low) ** 2
-    return q - p - math.sqrt(max(down, 0.0)), q - p + math.sqrt(max(up, 0.0))
+
+    # How far each share may be below and above its estimate.
+    p_down = p - p_low
+    p_up = p_high - p
+    q_down = q - q_low
+    q_up = q_high - q
+    down = q_down**2 - 2 * phi * q_down * p_up + p_up**2
+    up = q_up**2 - 2 * phi * q_up * p_down + p_down**2
+    low = q - p - math.sqrt(max(down, 0.0))
+    high = q - p + math.sqrt(max(up, 0.0))
+    return low, high
 
 
 def _wilson(values: np.ndarray) -> tuple[float, float, float]:
@@ -178,10 +213,14 @@ def _wilson(values: np.ndarray) -> tuple[float, float, float]:
 
 def _phi(a: np.ndarray, b: np.ndarray) -> float:
     """The correlation of paired shares, with Newcombe's correction for continuity."""
-    both, neither = float((a * b).sum()), float(((1 - a) * (1 - b)).sum())
-    only_a, only_b = float((a * (1 - b)).sum()), float(((1 - a) * b).sum())
+    both = float((a * b).sum())
+    neither = float(((1 - a) * (1 - b)).sum())
+    only_a = float((a * (1 - b)).sum())
+    only_b = float(((1 - a) * b).sum())
     sides = (both + only_a) * (only_b + neither) * (both + only_b) * (only_a + neither)
     product = both * neither - only_a * only_b
     if product > 0:
         product = max(product - len(a) / 2, 0.0)
-    return product / math.sqrt(sides) if sides else 0.0
+    if sides:
+        return product / math.sqrt(sides)
+    return 0.0

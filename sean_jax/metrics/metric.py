@@ -96,7 +96,8 @@ def as_metric(value: Metric | Callable, name: str = "") -> Metric:
 @functools.cache
 def _as_metric(value: Metric | Callable, name: str) -> Metric:
     metric = value if isinstance(value, Metric) else _from_function(value, name)
-    title, definition = metric.title or name.replace("_", " "), metric.definition or MEAN
+    title = metric.title or name.replace("_", " ")
+    definition = metric.definition or MEAN
     unchanged = (title, definition) == (metric.title, metric.definition)
     return metric if unchanged else replace(metric, title=title, definition=definition)
 

@@ -76,7 +76,8 @@ def _efficiency(value: SampledPath) -> Array:
 
 
 def _update_still(value: SampledPath, before: Snapshot, after: Snapshot) -> SampledPath:
-    moved, passed = _moved(value, after), time_since_sample(after)
+    moved = _moved(value, after)
+    passed = time_since_sample(after)
     return _sample(value, after, moved, jnp.where(moved <= STILL * passed, passed, 0.0))
 
 
@@ -193,12 +194,13 @@ class Success(NamedTuple):
 
 def _init_success(snapshot: Snapshot) -> Success:
     known = snapshot.robot_top_speed
+    zero = jnp.zeros_like(snapshot.geodesic)
     return Success(
         reached=_at_goal(snapshot),
         path=_init_path(snapshot),
         time=zero_duration(snapshot),
-        path_to_goal=jnp.zeros_like(snapshot.geodesic),
-        time_to_goal=jnp.zeros_like(snapshot.geodesic),
+        path_to_goal=zero,
+        time_to_goal=zero,
         shortest=jnp.maximum(snapshot.geodesic - _goal_radius(snapshot), 0.0),
         top_speed=jnp.full_like(snapshot.geodesic, TOP_SPEED) if known is None else known,
     )
@@ -280,7 +282,8 @@ def _jerk_size(before: Snapshot, after: Snapshot, value: Smoothness) -> Array:
 
 
 def _add_jerk(value: Smoothness, before: Snapshot, after: Snapshot) -> Ratio:
-    weights, (amount, weight) = situation_weights(after), value.figure
+    weights = situation_weights(after)
+    (amount, weight) = value.figure
     return Ratio(amount + _jerk_size(before, after, value) * weights, weight + value.known * weights)
 
 

@@ -25,7 +25,8 @@ MOVING = 5e-4  # m/s: SEAN rounds the robot's speed to three decimals
 NONE = 1e3  # m, distance to people or obstacles if there are none
 SPACE = 0.5  # m, of the iGibson social navigation challenge
 HORIZON = 30.0  # s: later collisions count as one then
-STRENGTH, RANGE = 7.0, 0.3  # m/s2, m: V0 / sigma and sigma of Helbing & Molnar (1995), circular
+STRENGTH = 7.0  # m/s2, V0 / sigma of Helbing & Molnar (1995), circular
+RANGE = 0.3  # m, their sigma
 LOOKING = 0.9961947  # cosine of 5 degrees (Arena-Rosnav)
 VISIBLE = 3.6  # m, the end of social distance [Hall]: people farther away do not meet the robot
 
@@ -110,7 +111,8 @@ def obstacle_distance(snapshot: Snapshot) -> Float[Array, ""]:
     """Distance [m] from the robot's centre to the nearest obstacle, negative inside; 1000 where none is known."""
     if snapshot.obstacles is None:
         return jnp.full_like(snapshot.geodesic, NONE)
-    x, y = snapshot.position[0], snapshot.position[1]
+    x = snapshot.position[0]
+    y = snapshot.position[1]
     distances = jax.vmap(from_box, in_axes=(None, None, 0))(x, y, snapshot.obstacles)[0]
     return jnp.min(distances, initial=NONE)
 
@@ -266,7 +268,8 @@ def collision_time(
         vx, vy: (...) m/s, the relative velocity v.
         reach: m, sum of both radii; it broadcasts.
     """
-    speeds, product = vx * vx + vy * vy, x * vx + y * vy
+    speeds = vx * vx + vy * vy
+    product = x * vx + y * vy
     outside = x * x + y * y - reach * reach
     inner = product * product - speeds * outside
     meets = (product < 0.0) & (inner > 0.0) & (speeds > TINY)

@@ -52,23 +52,27 @@ def build_cost_to_go(
 
     The corners that follow the first place's best one are added.
     """
-    navigation, paths_to_goal = scenario.navigation, state.task.paths_to_goal
+    navigation = scenario.navigation
+    paths_to_goal = state.task.paths_to_goal
     all_corners = jnp.arange(paths_to_goal.distance.shape[0], dtype=jnp.int32)
     lengths = _path_lengths(scenario, navigation.arcs, all_corners, paths_to_goal, x, y)
     lengths = jax.lax.stop_gradient(lengths)  # (P, V)
 
     # Corners whose path is little longer than the shortest one of some place.
     shortest = jnp.min(lengths, axis=1, keepdims=True)
-    detour = lengths - jnp.where(jnp.isfinite(shortest), shortest, 0.0)
-    detour = jnp.where(jnp.isfinite(lengths), detour, jnp.inf)
-    _, near = jax.lax.top_k(-jnp.min(detour, axis=0), min(NEAR_CORNERS, all_corners.shape[0]))
+    shortest = jnp.where(jnp.isfinite(shortest), shortest, 0.0)
+    detour = jnp.where(jnp.isfinite(lengths), lengths - shortest, jnp.inf)
+    least_detour = jnp.min(detour, axis=0)  # (V,)
+    count = min(NEAR_CORNERS, len(all_corners))
+    _, near = jax.lax.top_k(-least_detour, count)
 
     # The corners after the first one of the first place's path.
     chain = [jnp.argmin(lengths[0]).astype(jnp.int32)]
     for _ in range(CHAIN_CORNERS):
         chain.append(successors[chain[-1]])
 
-    index = jnp.concatenate([near.astype(jnp.int32), jnp.stack(chain[1:])])
+    consecutive = jnp.stack(chain[1:])
+    index = jnp.concatenate([near.astype(jnp.int32), consecutive])
     corners, chosen_paths = jax.tree.map(lambda leaf: leaf[index], (navigation.arcs, paths_to_goal))
     return CostToGo(corners, index, chosen_paths)
 
@@ -81,7 +85,8 @@ def distance_to_goal(
     It equals ``navigation.geodesic`` where the shortest path passes one of these corners, which holds for 95 of 100
     places within 1.5 m and in sight of where they were chosen. Elsewhere it is longer.
     """
-    navigation, goal = scenario.navigation, state.task.goal
+    navigation = scenario.navigation
+    goal = state.task.goal
     paths = _path_lengths(scenario, table.corners, table.index, table.paths_to_goal, x, y)
     clearance = NARROW * navigation.radius
 
@@ -98,8 +103,9 @@ def _path_lengths(
     """(P, K) m from places by each of the corners to the goal; inf by corners that are not in sight."""
     navigation = scenario.navigation
     x, y = _push_out(scenario, x, y)
+    places = jnp.stack([x, y], -1)  # (P, 2)
     cells = functools.partial(cell_of, navigation.visible, navigation.origin, navigation.cell)
-    i, j = jax.vmap(cells)(jax.lax.stop_gradient(jnp.stack([x, y], -1)))
+    i, j = jax.vmap(cells)(jax.lax.stop_gradient(places))
 
     # The tables have a bit for each corner, eight in a word.
     words = navigation.visible[i[:, None], j[:, None], index[None, :] // 8]
@@ -107,17 +113,21 @@ def _path_lengths(
     visible = (words >> bit) & 1 != 0
 
     def from_place(px: Array, py: Array) -> tuple[Array, Array]:
-        to_arc, angle, _, _, exists = tangents(corners, jnp.stack([px, py]), navigation.radius, True)
+        place = jnp.stack([px, py])
+        to_arc, angle, _, _, exists = tangents(corners, place, navigation.radius, True)
         overshoot = jnp.maximum(angle - paths_to_goal.departure_angle - ANGLE, 0.0)
-        path_length = to_arc - navigation.radius * (angle - overshoot) + paths_to_goal.distance
+        along_arc = navigation.radius * (angle - overshoot)
+        path_length = to_arc - along_arc + paths_to_goal.distance
         return path_length, exists & (overshoot < MAX_OVERSHOOT)
 
     lengths, fits = jax.vmap(from_place)(x, y)
     return jnp.where(visible & fits, lengths, jnp.inf)
 
 
-def _push_out(scenario: Scenario, x: Array, y: Array) -> tuple[Array, Array]:
-    """The places (P,), (P,) [m] moved out of the inflated obstacles, in which tables know no path.
+def _push_out(
+    scenario: Scenario, x: Float[Array, "P"], y: Float[Array, "P"]
+) -> tuple[Float[Array, "P"], Float[Array, "P"]]:
+    """The places (x, y) [m] moved out of the inflated obstacles, in which tables know no path.
 
     Gradients are the gradients of the places.
     """

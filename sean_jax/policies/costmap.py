@@ -74,7 +74,8 @@ class Window:
 def cells_per_bin(environment: Environment) -> int:
     """Cells of the map along a side of a cell of the obstacle grid: 10, or fewer on large floors."""
     columns, rows = environment.obstacle_grid.rows.shape[:2]
-    return max(1, min(CELLS_PER_BIN, math.isqrt(MAX_MAP_CELLS // (columns * rows))))
+    largest = math.isqrt(MAX_MAP_CELLS // (columns * rows))
+    return max(1, min(CELLS_PER_BIN, largest))
 
 
 def map_shape(environment: Environment) -> tuple[int, int]:
@@ -86,65 +87,81 @@ def map_shape(environment: Environment) -> tuple[int, int]:
 
 def map_frame(environment: Environment) -> tuple[Float[Array, "2"], Float[Array, ""]]:
     """The lower left corner [m] of the map, and the side [m] of a cell."""
-    cell = environment.obstacle_grid.cell / cells_per_bin(environment)
-    return environment.obstacle_grid.origin - MARGIN * cell, cell
+    grid = environment.obstacle_grid
+    cell = grid.cell / cells_per_bin(environment)
+    return grid.origin - MARGIN * cell, cell
 
 
 def static_cells(environment: Environment) -> Bool[Array, "X Y"]:
     """Whether each cell overlaps an obstacle, more than to touch it, or its middle is off a floor with an edge."""
     columns, rows = map_shape(environment)
     origin, cell = map_frame(environment)
-    y = origin[1] + (jnp.arange(rows, dtype=float) + 0.5) * cell
+    middles = jnp.arange(rows, dtype=float) + 0.5
+    y = origin[1] + middles * cell
 
     def column(index: Array) -> Array:
-        x = jnp.full_like(y, origin[0] + (index.astype(y.dtype) + 0.5) * cell)
-        boxes = nearby_obstacles(environment.obstacle_grid, x, y)
+        middle = origin[0] + (index.astype(y.dtype) + 0.5) * cell
+        x = jnp.full_like(y, middle)
+        boxes = nearby_obstacles(environment.obstacle_grid, x, y)  # (Y, B, 6)
         center_x, center_y, half_x, half_y, cosine, sine = (boxes[..., field] for field in range(6))
 
         # A cell overlaps a box if its middle lies in the box grown by half a cell.
         half_x = half_x + 0.5 * cell - TOUCH
         half_y = half_y + 0.5 * cell - TOUCH
         distance, _, _ = from_rectangle(x[:, None], y[:, None], center_x, center_y, half_x, half_y, cosine, sine)
-        return (jnp.min(distance, 1) <= 0.0) | (to_border(environment, x, y) <= 0.0)
+        overlaps = jnp.min(distance, 1) <= 0.0
+        is_off = to_border(environment, x, y) <= 0.0
+        return overlaps | is_off
 
-    return jax.lax.map(column, jnp.arange(columns, dtype=jnp.int32))
+    indices = jnp.arange(columns, dtype=jnp.int32)
+    return jax.lax.map(column, indices)
 
 
 def window_around(environment: Environment, place: Float[Array, "2"]) -> Window:
     """The window whose middle cell has a place [m]; at the border of the map for places beyond it."""
     origin, cell = map_frame(environment)
-    last = jnp.asarray(map_shape(environment), jnp.int32) - WINDOW
-    first = jnp.clip(jnp.floor((place - origin) / cell).astype(jnp.int32) - WINDOW // 2, 0, last)
-    return Window(first, origin + first.astype(origin.dtype) * cell, cell)
+    shape = jnp.asarray(map_shape(environment), jnp.int32)
+    last = shape - WINDOW
+    middle = jnp.floor((place - origin) / cell).astype(jnp.int32)
+    first = jnp.clip(middle - WINDOW // 2, 0, last)
+    corner = origin + first.astype(origin.dtype) * cell
+    return Window(first, corner, cell)
 
 
 def crop(cells: Array, window: Window) -> Array:
     """The window of a map."""
-    return jax.lax.dynamic_slice(cells, (window.first[0], window.first[1]), (WINDOW, WINDOW))
+    i, j = window.first[0], window.first[1]
+    return jax.lax.dynamic_slice(cells, (i, j), (WINDOW, WINDOW))
 
 
 def pack(cells: Bool[Array, "X Y"]) -> UInt8[Array, "X B"]:
     """A map of bits, with a byte more than it needs: a window may begin within a byte."""
-    return jnp.packbits(jnp.pad(cells, ((0, 0), (0, 8))), axis=1, bitorder="little")
+    padded = jnp.pad(cells, ((0, 0), (0, 8)))
+    return jnp.packbits(padded, axis=1, bitorder="little")
 
 
 def crop_bits(packed: UInt8[Array, "X B"], window: Window) -> Bool[Array, "W W"]:
     """The window of a map of bits."""
     i, j = window.first
-    return jax.lax.dynamic_slice(_unpack(packed, window), (jnp.zeros_like(i), j % 8), (WINDOW, WINDOW))
+    rows = _unpack(packed, window)
+    return jax.lax.dynamic_slice(rows, (jnp.zeros_like(i), j % 8), (WINDOW, WINDOW))
 
 
 def update_bits(packed: UInt8[Array, "X B"], window: Window, cells: Bool[Array, "W W"]) -> UInt8[Array, "X B"]:
     """The map of bits with other cells in the window."""
     i, j = window.first
-    rows = jax.lax.dynamic_update_slice(_unpack(packed, window), cells, (jnp.zeros_like(i), j % 8))
-    return jax.lax.dynamic_update_slice(packed, jnp.packbits(rows, axis=1, bitorder="little"), (i, j // 8))
+    rows = _unpack(packed, window)
+    rows = jax.lax.dynamic_update_slice(rows, cells, (jnp.zeros_like(i), j % 8))
+    in_bytes = jnp.packbits(rows, axis=1, bitorder="little")
+    return jax.lax.dynamic_update_slice(packed, in_bytes, (i, j // 8))
 
 
-def _unpack(packed: Array, window: Window) -> Array:
-    """(WINDOW, WINDOW + 8) bool, the bytes of the window."""
-    rows = jax.lax.dynamic_slice(packed, (window.first[0], window.first[1] // 8), (WINDOW, WINDOW // 8 + 1))
-    return jnp.unpackbits(rows, axis=1, bitorder="little").astype(bool)
+def _unpack(packed: UInt8[Array, "X B"], window: Window) -> Bool[Array, "W bits"]:
+    """The WINDOW + 8 bits of each row in the bytes of the window."""
+    i, j = window.first[0], window.first[1]
+    rows = jax.lax.dynamic_slice(packed, (i, j // 8), (WINDOW, WINDOW // 8 + 1))
+    bits = jnp.unpackbits(rows, axis=1, bitorder="little")
+    return bits.astype(bool)
 
 
 def pack_steps(steps: Float[Array, "X Y"]) -> UInt16[Array, "X Y"]:
@@ -163,10 +180,18 @@ def cell_index(
 ) -> tuple[Int[Array, "*shape"], Int[Array, "*shape"]]:
     """The cells of the window in which places (x, y) [m] lie, or the nearest cells."""
     i, j = _unclipped_cell_index(window, x, y)
-    return jnp.clip(i, 0, WINDOW - 1), jnp.clip(j, 0, WINDOW - 1)
+    return _clip_cells(i), _clip_cells(j)
 
 
-def _unclipped_cell_index(window: Window, x: Array, y: Array) -> tuple[Array, Array]:
+def _clip_cells(index: Array) -> Array:
+    """Indices of cells along an axis, moved into the window."""
+    return jnp.clip(index, 0, WINDOW - 1)
+
+
+def _unclipped_cell_index(
+    window: Window, x: Float[Array, "*shape"], y: Float[Array, "*shape"]
+) -> tuple[Int[Array, "*shape"], Int[Array, "*shape"]]:
+    """The cells in which places (x, y) [m] lie, counted from the window's first cell."""
     i = jnp.floor((x - window.origin[0]) / window.cell).astype(jnp.int32)
     j = jnp.floor((y - window.origin[1]) / window.cell).astype(jnp.int32)
     return i, j
@@ -175,7 +200,9 @@ def _unclipped_cell_index(window: Window, x: Array, y: Array) -> tuple[Array, Ar
 def cell_middles(window: Window) -> tuple[Float[Array, "W 1"], Float[Array, "1 W"]]:
     """x [m] of the middles of the window's columns, and y [m] of the middles of its rows."""
     steps = (jnp.arange(WINDOW, dtype=float) + 0.5) * window.cell
-    return (window.origin[0] + steps)[:, None], (window.origin[1] + steps)[None, :]
+    x = window.origin[0] + steps
+    y = window.origin[1] + steps
+    return x[:, None], y[None, :]
 
 
 # 2. Layers
@@ -186,21 +213,28 @@ def footprint(
 ) -> tuple[Float[Array, "*shape 16"], Float[Array, "*shape 16"]]:
     """x and y [m] of the 16 corners of the robot's footprint at poses [m, m, rad]."""
     angle = 2.0 * np.pi / FOOTPRINT_CORNERS * np.arange(FOOTPRINT_CORNERS)
-    shape = (1,) * yaw.ndim + (-1,)
-    ahead = radius * jnp.asarray(np.cos(angle).reshape(shape), float)
-    left = radius * jnp.asarray(np.sin(angle).reshape(shape), float)
-    dx, dy = rotate(ahead, left, jnp.cos(yaw)[..., None], jnp.sin(yaw)[..., None])
+    angle = angle.reshape((1,) * yaw.ndim + (-1,))  # (..., 16)
+    ahead = radius * jnp.asarray(np.cos(angle), float)
+    left = radius * jnp.asarray(np.sin(angle), float)
+
+    cosine = jnp.cos(yaw)[..., None]
+    sine = jnp.sin(yaw)[..., None]
+    dx, dy = rotate(ahead, left, cosine, sine)
     return x[..., None] + dx, y[..., None] + dy
 
 
 def footprint_cells(scenario: Scenario, state: State, window: Window) -> Bool[Array, "W W"]:
     """Whether each cell of the window is in the robot's footprint or has a corner of it."""
-    robot, radius = state.robot, scenario.robot.radius
+    radius = scenario.robot.radius
+    robot_x, robot_y = state.robot.position[0], state.robot.position[1]
     x, y = cell_middles(window)
-    inside = length(x - robot.position[0], y - robot.position[1]) <= radius
-    yaw = jnp.arctan2(robot.heading[1], robot.heading[0])
-    corner_x, corner_y = footprint(radius, robot.position[0], robot.position[1], yaw)
-    return inside.at[cell_index(window, corner_x, corner_y)].set(True)
+    inside = length(x - robot_x, y - robot_y) <= radius
+
+    heading = state.robot.heading
+    yaw = jnp.arctan2(heading[1], heading[0])
+    corner_x, corner_y = footprint(radius, robot_x, robot_y, yaw)
+    corners = cell_index(window, corner_x, corner_y)
+    return inside.at[corners].set(True)
 
 
 def update_marks(scenario: Scenario, state: State, window: Window, marks: Bool[Array, "W W"]) -> Bool[Array, "W W"]:
@@ -210,29 +244,42 @@ def update_marks(scenario: Scenario, state: State, window: Window, marks: Bool[A
     reports a miss as 0, which ROS drops: such a ray clears nothing, so marks stay. The robot's footprint is cleared.
     """
     lidar = sensors.lidar(scenario)
-    distance = sensors.scan(scenario, state, lidar)
+    distance = sensors.scan(scenario, state, lidar)  # (R,)
     hit = distance < lidar.far
-    position, heading = state.robot.position, state.robot.heading
-    mount = next(mount.origin for mount in scenario.robot.mounts if mount.name == lidar.name)
+
+    # Where the rays end and where they start.
+    position = state.robot.position
+    heading = state.robot.heading
+    mounts = {mount.name: mount.origin for mount in scenario.robot.mounts}
+    mount = mounts[lidar.name]
     ahead, left = _scan_points(lidar, mount, distance)
     dx, dy = rotate(ahead, left, heading[0], heading[1])
-    x, y = position[0] + dx, position[1] + dy
+    x = position[0] + dx
+    y = position[1] + dy
     mount_dx, mount_dy = rotate(mount[0], mount[1], heading[0], heading[1])
-    start_i, start_j = cell_index(window, position[0] + mount_dx, position[1] + mount_dy)
+    mount_x = position[0] + mount_dx
+    mount_y = position[1] + mount_dy
+    start_i, start_j = cell_index(window, mount_x, mount_y)
 
     # A line to a cell beyond the window keeps its direction; its cells end at 3 m.
     end_i, end_j = _unclipped_cell_index(window, x, y)
     i, j = ray_cells(start_i, start_j, end_i, end_j, window.cell)
-    line = jnp.clip(i, 0, WINDOW - 1), jnp.clip(j, 0, WINDOW - 1)
+    line = _clip_cells(i), _clip_cells(j)
     cleared = jnp.zeros_like(marks).at[line].max(hit[:, None])
 
-    marked = jnp.zeros_like(marks).at[cell_index(window, x, y)].max(hit & (distance < MARK_RANGE))
-    return ((marks & ~cleared) | marked) & ~footprint_cells(scenario, state, window)
+    end = cell_index(window, x, y)
+    is_mark = hit & (distance < MARK_RANGE)
+    marked = jnp.zeros_like(marks).at[end].max(is_mark)
+    marks = (marks & ~cleared) | marked
+    return marks & ~footprint_cells(scenario, state, window)
 
 
-def _scan_points(lidar: sensors.Lidar, mount: Array, distance: Array) -> tuple[Array, Array]:
+def _scan_points(
+    lidar: sensors.Lidar, mount: Float[Array, "3"], distance: Float[Array, "R"]
+) -> tuple[Float[Array, "R"], Float[Array, "R"]]:
     """Places [m] ahead and left of the robot, in which the rays of a planar lidar end."""
-    directions = lidar_directions(lidar)[0] @ np.reshape(lidar.axes, (3, 3)).T
+    axes = np.reshape(lidar.axes, (3, 3))
+    directions = lidar_directions(lidar)[0] @ axes.T  # (R, 3)
     ahead = mount[0] + distance * jnp.asarray(directions[:, 0], float)
     left = mount[1] + distance * jnp.asarray(directions[:, 1], float)
     return ahead, left
@@ -245,16 +292,23 @@ def ray_cells(
     di = i1 - i0
     dj = j1 - j0
     steps = jnp.maximum(jnp.abs(di), jnp.abs(dj))  # of the whole line
+
+    # The share of the line that is within the range, and the number of its last cell.
     line_length = length(di.astype(float), dj.astype(float))
     range_in_cells = jnp.ceil(CLEAR_RANGE / cell - 1e-3)
     share = jnp.minimum(1.0, range_in_cells / jnp.maximum(line_length, 1.0))
-    last = jnp.floor(share * steps.astype(float) + 1e-4).astype(jnp.int32)
-    step = jnp.minimum(jnp.arange(WINDOW // 2, dtype=jnp.int32)[None, :], last[:, None])  # (R, K)
+    steps_in_range = share * steps.astype(float)
+    last = jnp.floor(steps_in_range + 1e-4).astype(jnp.int32)
+
+    number = jnp.arange(WINDOW // 2, dtype=jnp.int32)
+    step = jnp.minimum(number[None, :], last[:, None])  # (R, K)
     divisor = jnp.maximum(steps, 1)[:, None]
 
     def coordinate(start: Array, difference: Array) -> Array:
-        rounded = (step * jnp.abs(difference)[:, None] + divisor // 2) // divisor
-        return start + jnp.sign(difference)[:, None] * rounded
+        size = jnp.abs(difference)[:, None]
+        rounded = (step * size + divisor // 2) // divisor
+        direction = jnp.sign(difference)[:, None]
+        return start + direction * rounded
 
     return coordinate(i0, di), coordinate(j0, dj)
 
@@ -268,29 +322,34 @@ def inflate(
         radius: m, of the robot.
         cell: m, side of a cell.
     """
-    reach = jnp.minimum(jnp.ceil(params.inflation / cell - 1e-3), MAX_INFLATION)
+    reach = jnp.ceil(params.inflation / cell - 1e-3)  # in cells
+    reach = jnp.minimum(reach, MAX_INFLATION)
     costs = jnp.where(lethal, LETHAL, 0.0)
     for square, is_near in _lethal_at_distance(lethal).items():
-        distance = math.sqrt(square) * cell
-        cost = jnp.floor(MAX_COST * jnp.exp(-params.decay * (distance - radius)))
+        cells = math.sqrt(square)
+        distance = cells * cell
+        decayed = MAX_COST * jnp.exp(-params.decay * (distance - radius))
+        cost = jnp.floor(decayed)
         cost = jnp.where(distance <= radius, INSCRIBED, cost)
-        costs = jnp.maximum(costs, jnp.where(is_near & (math.sqrt(square) <= reach), cost, 0.0))
+        cost = jnp.where(is_near & (cells <= reach), cost, 0.0)
+        costs = jnp.maximum(costs, cost)
     return costs
 
 
-def _lethal_at_distance(lethal: Array) -> dict[int, Array]:
-    """Whether cells (X, Y) have a lethal one at a distance, whose square in cells is the key."""
+def _lethal_at_distance(lethal: Bool[Array, "X Y"]) -> dict[int, Bool[Array, "X Y"]]:
+    """Whether cells have a lethal one at a distance, whose square in cells is the key."""
     columns, rows = lethal.shape
     padded = jnp.pad(lethal, MAX_INFLATION)
-    offsets = range(-MAX_INFLATION, MAX_INFLATION + 1)
+    shifts = range(2 * MAX_INFLATION + 1)
     near: dict[int, Array] = {}
-    for di, dj in itertools.product(offsets, offsets):
-        square = di * di + dj * dj
-        if not 0 < square <= MAX_INFLATION * MAX_INFLATION:
+    for i, j in itertools.product(shifts, shifts):
+        square = (i - MAX_INFLATION) ** 2 + (j - MAX_INFLATION) ** 2
+        if not 0 < square <= MAX_INFLATION**2:
             continue
-        i, j = MAX_INFLATION + di, MAX_INFLATION + dj
         neighbor = padded[i : i + columns, j : j + rows]
-        near[square] = near[square] | neighbor if square in near else neighbor
+        if square in near:
+            neighbor = near[square] | neighbor
+        near[square] = neighbor
     return near
 
 
@@ -306,18 +365,24 @@ def proxemic_cost(
     A exp(-(mx^2 / (2 sx) + my^2 / (2 sy))) with m along and across the heading, sy = C, and sx = C (1 + 5 |v|) ahead
     and C behind; 0 below the cutoff. The costs are whole numbers, as in the map, with the gradient of the Gaussian.
     """
+    # The heading; of a standing person any.
     speed = length(vx, vy)
     standing = speed < 1e-6
     divisor = jnp.where(standing, 1.0, speed)
     hx = jnp.where(standing, 1.0, vx / divisor)
     hy = jnp.where(standing, 0.0, vy / divisor)
+
     along = dx * hx + dy * hy
     across = dy * hx - dx * hy
     stretch = jnp.where(along > 0.0, 1.0 + params.factor * speed, 1.0)
     covariance_along = params.covariance * stretch
-    exponent = along * along / (2.0 * covariance_along) + across * across / (2.0 * params.covariance)
+    exponent_along = along * along / (2.0 * covariance_along)
+    exponent_across = across * across / (2.0 * params.covariance)
+    exponent = exponent_along + exponent_across
     cost = params.amplitude * jnp.exp(-exponent)
-    whole = cost - jax.lax.stop_gradient(cost - jnp.floor(cost))
+
+    remainder = cost - jnp.floor(cost)
+    whole = cost - jax.lax.stop_gradient(remainder)
     return jnp.where(cost < params.cutoff, 0.0, whole)
 
 
@@ -326,7 +391,9 @@ def social_costs(params: CostmapParams, people: Pedestrians, window: Window) -> 
     x, y = cell_middles(window)
 
     def person(position: Array, velocity: Array, present: Array) -> Array:
-        cost = proxemic_cost(params, x - position[0], y - position[1], velocity[0], velocity[1])
+        dx = x - position[0]
+        dy = y - position[1]
+        cost = proxemic_cost(params, dx, dy, velocity[0], velocity[1])
         return jnp.where(present, cost, 0.0)
 
     costs = jax.vmap(person)(people.position, people.velocity, people.present)
@@ -338,7 +405,8 @@ def social_costs(params: CostmapParams, people: Pedestrians, window: Window) -> 
 
 def resistance(costs: Float[Array, "X Y"]) -> Float[Array, "X Y"]:
     """What the global plan pays for a cell: 50 + 3 cost, at most 252; ``BLOCKED`` from a cost of 252 on."""
-    return jnp.where(costs >= MAX_COST, BLOCKED, jnp.minimum(NEUTRAL_COST + COST_FACTOR * costs, MAX_COST))
+    price = NEUTRAL_COST + COST_FACTOR * costs
+    return jnp.where(costs >= MAX_COST, BLOCKED, jnp.minimum(price, MAX_COST))
 
 
 def potentials(start: Float[Array, "X Y"], cost: Float[Array, "X Y"]) -> Float[Array, "X Y"]:
@@ -353,7 +421,9 @@ def potentials(start: Float[Array, "X Y"], cost: Float[Array, "X Y"]) -> Float[A
     return _settle(start, cost, _quadratic_rule, 0.01)
 
 
-def _quadratic_rule(a: Array, b: Array, cost: Array) -> Array:
+def _quadratic_rule(
+    a: Float[Array, "*shape"], b: Float[Array, "*shape"], cost: Float[Array, "*shape"]
+) -> Float[Array, "*shape"]:
     """The potential of a cell by its lower neighbors of the two axes."""
     lower = jnp.minimum(a, b)
     difference = jnp.abs(a - b)
@@ -368,12 +438,14 @@ def steps_from(start: Float[Array, "X Y"], free: Bool[Array, "X Y"]) -> Float[Ar
     return _settle(start, cost, _step_rule, 0.5)
 
 
-def _step_rule(a: Array, b: Array, cost: Array) -> Array:
+def _step_rule(
+    a: Float[Array, "*shape"], b: Float[Array, "*shape"], cost: Float[Array, "*shape"]
+) -> Float[Array, "*shape"]:
     """The steps of a cell by its lower neighbors of the two axes."""
     return jnp.minimum(a, b) + cost
 
 
-def _settle(wave: Array, cost: Array, rule: Rule, tolerance: float) -> Array:
+def _settle(wave: Float[Array, "X Y"], cost: Float[Array, "X Y"], rule: Rule, tolerance: float) -> Float[Array, "X Y"]:
     """The wave when a round lowers no cell by more than a tolerance.
 
     On a CPU a round is four sweeps, which need the fewest operations; on a GPU likewise, for windows, in a kernel.
@@ -387,62 +459,92 @@ def _settle(wave: Array, cost: Array, rule: Rule, tolerance: float) -> Array:
     return jax.lax.platform_dependent(wave, cost, cpu=sweep, default=settle_at_once)
 
 
-def _settle_in_rounds(round_: Callable, rule: Rule, tolerance: float, wave: Array, cost: Array) -> Array:
+def _settle_in_rounds(
+    round_: Callable, rule: Rule, tolerance: float, wave: Float[Array, "X Y"], cost: Float[Array, "X Y"]
+) -> Float[Array, "X Y"]:
+    """The wave when a round, which computes all cells, lowers none by more than a tolerance."""
+
     def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         before, _ = carry
         after = round_(before, cost, rule)
-        return after, (after < before - tolerance).any()
+        is_lower = after < before - tolerance
+        return after, is_lower.any()
 
-    return jax.lax.while_loop(lambda carry: carry[1], body, (wave, jnp.ones((), bool)))[0]
+    def goes_on(carry: tuple[Array, Array]) -> Array:
+        _, any_is_lower = carry
+        return any_is_lower
+
+    settled, _ = jax.lax.while_loop(goes_on, body, (wave, jnp.ones((), bool)))
+    return settled
 
 
 def _four_sweeps(wave: Array, cost: Array, rule: Rule) -> Array:
     """A sweep in each direction."""
-    for flip, transpose in ((False, False), (True, False), (False, True), (True, True)):
-        turned_wave = _flip_rows(wave.T if transpose else wave, flip)
-        turned_cost = _flip_rows(cost.T if transpose else cost, flip)
-        wave = _flip_rows(_sweep(turned_wave, turned_cost, rule), flip)
-        wave = wave.T if transpose else wave
+    for transpose in (False, True):
+        for flip in (False, True):
+            wave = _sweep_turned(wave, cost, rule, flip, transpose)
     return wave
 
 
-def _flip_rows(cells: Array, flip: bool) -> Array:
-    return cells[::-1] if flip else cells
+def _sweep_turned(wave: Array, cost: Array, rule: Rule, flip: bool, transpose: bool) -> Array:
+    """A sweep backward along an axis if ``flip``, and along the other axis if ``transpose``."""
+    if transpose:
+        wave, cost = wave.T, cost.T
+    if flip:
+        wave, cost = wave[::-1], cost[::-1]
+
+    wave = _sweep(wave, cost, rule)
+    if flip:
+        wave = wave[::-1]
+    if transpose:
+        wave = wave.T
+    return wave
 
 
-def _sweep(wave: Array, cost: Array, rule: Rule) -> Array:
+def _sweep(wave: Float[Array, "X Y"], cost: Float[Array, "X Y"], rule: Rule) -> Float[Array, "X Y"]:
     """Row by row, each with the new values of the row before."""
     padded = jnp.pad(wave, ((0, 1), (1, 1)), constant_values=UNREACHED)
     horizontal = jnp.minimum(padded[:-1, :-2], padded[:-1, 2:])
+    next_rows = padded[1:, 1:-1]
 
     def settle_row(before: Array, row: tuple[Array, ...]) -> tuple[Array, Array]:
         wave, after, horizontal, cost = row
-        settled = jnp.minimum(wave, rule(jnp.minimum(before, after), horizontal, cost))
+        vertical = jnp.minimum(before, after)
+        settled = jnp.minimum(wave, rule(vertical, horizontal, cost))
         return settled, settled
 
     edge = jnp.full(wave.shape[1], UNREACHED, wave.dtype)
-    return jax.lax.scan(settle_row, edge, (wave, padded[1:, 1:-1], horizontal, cost))[1]
+    _, settled = jax.lax.scan(settle_row, edge, (wave, next_rows, horizontal, cost))
+    return settled
 
 
 def _at_once(wave: Array, cost: Array, rule: Rule) -> Array:
     """Eight times all cells, each from the values before; one after another, so that no value is computed twice."""
     for _ in range(8):
-        padded = jax.lax.optimization_barrier(jnp.pad(wave, 1, constant_values=UNREACHED))
-        left, right, down, up = _four_neighbors(padded)
-        wave = jnp.minimum(wave, rule(jnp.minimum(left, right), jnp.minimum(down, up), cost))
+        padded = jnp.pad(wave, 1, constant_values=UNREACHED)
+        left, right, down, up = _four_neighbors(jax.lax.optimization_barrier(padded))
+        horizontal = jnp.minimum(left, right)
+        vertical = jnp.minimum(down, up)
+        wave = jnp.minimum(wave, rule(horizontal, vertical, cost))
     return wave
 
 
 def _four_neighbors(padded: Array) -> tuple[Array, Array, Array, Array]:
     """The left, right, lower and upper neighbors of cells, which are padded by one cell."""
-    return padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]
+    left = padded[:-2, 1:-1]
+    right = padded[2:, 1:-1]
+    down = padded[1:-1, :-2]
+    up = padded[1:-1, 2:]
+    return left, right, down, up
 
 
 def from_border(field: Float[Array, "W W"], free: Bool[Array, "W W"]) -> Float[Array, "W W"]:
     """The start of a wave in the window: a map's values in free cells at the window's border, and 0 at the goal."""
-    edge = np.ones((WINDOW, WINDOW), bool)
-    edge[1:-1, 1:-1] = False
-    return jnp.where((jnp.asarray(edge) & free) | (field == 0.0), field, UNREACHED)
+    border = np.ones((WINDOW, WINDOW), bool)
+    border[1:-1, 1:-1] = False
+    at_border = jnp.asarray(border) & free
+    is_goal = field == 0.0
+    return jnp.where(at_border | is_goal, field, UNREACHED)
 
 
 def descend(
@@ -458,17 +560,7 @@ def descend(
 
     def step(carry: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], Array]:
         place, before, earlier = carry
-        middle = jnp.clip(jnp.round(place).astype(jnp.int32), 1, WINDOW - 2)
-        near = potential[middle[0] + neighbors[:, 0], middle[1] + neighbors[:, 1]]
-        lowest = (middle + neighbors[jnp.argmin(near)]).astype(place.dtype)
-        smooth = _half_cell_down(directions, place)
-
-        # Half a cell down the slope, or to the middle of the lowest cell around where the slope is of no use.
-        returns = length(*(place - earlier)) < 0.05  # back and forth over a crease
-        is_smooth = (near < UNREACHED).all() & (near[0] > near.min()) & ~returns
-        after = jnp.where(is_smooth, smooth, lowest)
-        inside = (place >= 1.0).all() & (place <= WINDOW - 2.0).all()
-        after = jnp.where(inside & (near[0] > 0.0), after, place)
+        after = _next_place(potential, directions, neighbors, place, earlier)
         return (after, place, before), after
 
     start = jnp.stack([x, y])
@@ -478,9 +570,39 @@ def descend(
     return path[:, 0], path[:, 1]
 
 
-def _descent_directions(potential: Array) -> Array:
-    """(2, W, W) unit vectors down the potentials; 0 in cells that no wave reaches."""
-    left, right, down, up = _four_neighbors(jnp.pad(potential, 1, constant_values=UNREACHED))
+def _next_place(
+    potential: Float[Array, "W W"],
+    directions: Float[Array, "2 W W"],
+    neighbors: Int[Array, "9 2"],
+    place: Float[Array, "2"],
+    earlier: Float[Array, "2"],
+) -> Float[Array, "2"]:
+    """The place of a plan after ``place``; ``earlier`` is two places before it."""
+    cell = jnp.round(place).astype(jnp.int32)
+    middle = jnp.clip(cell, 1, WINDOW - 2)
+    i = middle[0] + neighbors[:, 0]
+    j = middle[1] + neighbors[:, 1]
+    near = potential[i, j]  # (9,)
+    lowest = middle + neighbors[jnp.argmin(near)]
+    lowest = lowest.astype(place.dtype)
+    smooth = _half_cell_down(directions, place)
+
+    # Half a cell down the slope, or to the middle of the lowest cell around where the slope is of no use.
+    returns = length(*(place - earlier)) < 0.05  # back and forth over a crease
+    reached = (near < UNREACHED).all()
+    is_smooth = reached & (near[0] > near.min()) & ~returns
+    after = jnp.where(is_smooth, smooth, lowest)
+
+    # The plan ends at the goal and at the border.
+    inside = (place >= 1.0).all() & (place <= WINDOW - 2.0).all()
+    goes_on = inside & (near[0] > 0.0)
+    return jnp.where(goes_on, after, place)
+
+
+def _descent_directions(potential: Float[Array, "W W"]) -> Float[Array, "2 W W"]:
+    """Unit vectors down the potentials; 0 in cells that no wave reaches."""
+    padded = jnp.pad(potential, 1, constant_values=UNREACHED)
+    left, right, down, up = _four_neighbors(padded)
     reached = potential < UNREACHED
 
     def slope(low: Array, high: Array) -> Array:
@@ -488,17 +610,22 @@ def _descent_directions(potential: Array) -> Array:
         to_high = jnp.where(high < UNREACHED, potential - high, 0.0)
         return jnp.where(reached, to_low + to_high, 0.0)
 
-    slope_x, slope_y = slope(left, right), slope(down, up)
+    slope_x = slope(left, right)
+    slope_y = slope(down, up)
     norm = jnp.maximum(length(slope_x, slope_y), 1e-6)
     return jnp.stack([slope_x / norm, slope_y / norm])
 
 
-def _half_cell_down(directions: Array, place: Array) -> Array:
-    """The place (2,) half a cell farther in the direction between those of four cells (bilinear)."""
-    i, j = corner = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, WINDOW - 2)
+def _half_cell_down(directions: Float[Array, "2 W W"], place: Float[Array, "2"]) -> Float[Array, "2"]:
+    """The place half a cell farther in the direction between those of four cells (bilinear)."""
+    corner = jnp.floor(place).astype(jnp.int32)
+    corner = jnp.clip(corner, 0, WINDOW - 2)
+    i, j = corner
     cells = jax.lax.dynamic_slice(directions, (jnp.zeros_like(i), i, j), (2, 2, 2))
+
     share_i, share_j = place - corner.astype(place.dtype)
-    rows = cells[:, 0] * (1.0 - share_i) + cells[:, 1] * share_i
-    direction = rows[:, 0] * (1.0 - share_j) + rows[:, 1] * share_j
-    norm = jnp.maximum(length(direction[0], direction[1]), 1e-6)
+    rows = cells[:, 0] * (1.0 - share_i) + cells[:, 1] * share_i  # (2, 2)
+    direction = rows[:, 0] * (1.0 - share_j) + rows[:, 1] * share_j  # (2,)
+    size = length(direction[0], direction[1])
+    norm = jnp.maximum(size, 1e-6)
     return place + 0.5 * direction / norm

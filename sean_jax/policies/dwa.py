@@ -68,7 +68,8 @@ def apply(
     commands = window(model, state.robot, observation)
     fixed = jax.lax.stop_gradient((scenario, params, as_known(state, known), observation.path, commands))
     best = jnp.argmax(objective(*fixed).reshape(-1))
-    command = jnp.stack([component.reshape(-1)[best] for component in commands])
+    samples = [component.reshape(-1) for component in commands]
+    command = jnp.stack([component[best] for component in samples])
     return steering.arrive(scenario, observation, command), known
 
 
@@ -76,7 +77,10 @@ def window(model: RobotModel, robot: Robot, observation: Observation) -> tuple[F
     """The components [m/s, rad/s] of commands that the robot reaches within an interval."""
     reach = reachable(model, robot.speed, robot.turn_rate, INTERVAL)
     top = steering.top_speed(model, observation)
-    reverse = jnp.zeros_like(top) if model.lateral is None else jnp.minimum(max_reverse_speed(model), top)
+    if model.lateral is None:
+        reverse = jnp.zeros_like(top)
+    else:
+        reverse = jnp.minimum(max_reverse_speed(model), top)
     slowest = jnp.clip(reach.speed_min, -reverse, top)
     fastest = jnp.clip(reach.speed_max, -reverse, top)
     ahead = jnp.linspace(slowest, fastest, SPEEDS)
@@ -84,13 +88,17 @@ def window(model: RobotModel, robot: Robot, observation: Observation) -> tuple[F
     if model.lateral is None or robot.sideways is None:
         right = clip_turn_rate(model, reach.turn_rate_min)
         left = clip_turn_rate(model, reach.turn_rate_max)
-        return tuple(jnp.meshgrid(ahead, jnp.linspace(right, left, SIDES), indexing="ij"))
+        turn_rate = jnp.linspace(right, left, SIDES)
+        return tuple(jnp.meshgrid(ahead, turn_rate, indexing="ij"))
 
+    # An omnidirectional robot samples its speed to the left, and turns toward the target.
     change = INTERVAL * model.lateral.max_acceleration
     right = jnp.clip(robot.sideways + -change, -top, top)
     left = jnp.clip(robot.sideways + change, -top, top)
-    x, y = jnp.meshgrid(ahead, jnp.linspace(right, left, SIDES), indexing="ij")
-    return x, y, jnp.full_like(x, steering.turn_toward(model, observation.path))
+    sideways = jnp.linspace(right, left, SIDES)
+    x, y = jnp.meshgrid(ahead, sideways, indexing="ij")
+    turn = steering.turn_toward(model, observation.path)
+    return x, y, jnp.full_like(x, turn)
 
 
 def objective(
@@ -105,7 +113,9 @@ def objective(
     Args:
         target: m, in the robot's frame.
     """
-    model, robot, shape = scenario.robot, state.robot, commands[0].shape
+    model = scenario.robot
+    robot = state.robot
+    shape = commands[0].shape
     constant = tuple(jnp.broadcast_to(component.reshape(-1), (STEPS, component.size)) for component in commands)
     motion = predict_robot(model, LAWS[model.drive_type].speeds(model, robot), constant, INTERVAL)
     people = predict_straight(nearest_people(state, MAX_PEOPLE), STEPS, INTERVAL)
@@ -139,7 +149,10 @@ def _smooth(values: Array) -> Array:
     """The mean of each value and its eight neighbors."""
     rows, columns = values.shape
     padded = jnp.pad(values, 1, mode="edge")
-    total: Any = sum(padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3))
+    total: Any = 0
+    for i in range(3):
+        for j in range(3):
+            total = total + padded[i : i + rows, j : j + columns]
     return total / 9.0
 
 
@@ -148,28 +161,35 @@ def free_way(scenario: Scenario, state: State, motion: RobotMotion, people: Peop
 
     A robot that is too near to somebody already collides only where it comes nearer.
     """
-    robot, model = state.robot, scenario.robot
+    robot = state.robot
+    model = scenario.robot
     ahead = jnp.concatenate([jnp.zeros_like(motion.x[:1]), motion.x])  # (1 + T, P), now and after each step
     left = jnp.concatenate([jnp.zeros_like(motion.y[:1]), motion.y])
     x, y = to_world(robot.position, robot.heading, ahead, left)
-    gap = jnp.minimum(_people_gap(scenario, state, x, y, people), obstacle_gap(scenario, x, y))
+    people_gap = _people_gap(scenario, state, x, y, people)
+    gap = jnp.minimum(people_gap, obstacle_gap(scenario, x, y))
 
     # Until the first collision.
-    collides = gap[1:] < jnp.minimum(gap[:1], 0.0)
+    least_gap = jnp.minimum(gap[:1], 0.0)
+    collides = gap[1:] < least_gap
     is_free = jnp.cumsum(collides, axis=0, dtype=jnp.int32) == 0
     step = length(jnp.diff(ahead, axis=0), jnp.diff(left, axis=0))
-    until_collision = jnp.where(is_free, step, 0.0).sum(0)
+    free_step = jnp.where(is_free, step, 0.0)
+    until_collision = free_step.sum(0)
     return jnp.where(is_free[-1], model.max_speed * STEPS * INTERVAL, until_collision)
 
 
-def _people_gap(scenario: Scenario, state: State, x: Array, y: Array, people: PeopleMotion) -> Array:
-    """(1 + T, P) m, gaps between the robot at places (x, y) [m] and the nearest person, now and after each step."""
+def _people_gap(
+    scenario: Scenario, state: State, x: Float[Array, "ticks P"], y: Float[Array, "ticks P"], people: PeopleMotion
+) -> Float[Array, "ticks P"]:
+    """Gaps [m] between the robot at places (x, y) [m] and the nearest person, now and after each step."""
     people_now = predict_straight(nearest_people(state, MAX_PEOPLE), 1, 0.0)
     px = jnp.concatenate([people_now.x, people.x])[:, None]  # (1 + T, 1, K)
     py = jnp.concatenate([people_now.y, people.y])[:, None]
     reach = scenario.robot.radius + scenario.forces.walking.radius + PEOPLE_MARGIN
-    distance = length(x[..., None] - px, y[..., None] - py)
-    return jnp.min(distance - reach, axis=-1, initial=jnp.inf)
+    distance = length(x[..., None] - px, y[..., None] - py)  # (1 + T, P, K)
+    gap = distance - reach
+    return jnp.min(gap, axis=-1, initial=jnp.inf)
 
 
 dwa = Policy(params=DwaParams(), name="dwa", init=init, apply=apply, sensing="tracks")

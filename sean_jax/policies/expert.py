@@ -85,8 +85,10 @@ class ExpertMemory(NamedTuple):
 def init(scenario: Scenario, params: ExpertParams, state: State) -> ExpertMemory:
     """Plans seconds ahead by sampling, with predicted people, and costs of their distances and o-spaces."""
     knots = jnp.zeros((KNOTS, command_size(scenario.robot)), float)
-    distance = jnp.full((), INITIAL_DISTANCE, float)
-    return ExpertMemory(knots, corner_successors(scenario, state), distance, jnp.zeros((), jnp.int32))
+    distance_min = jnp.full((), INITIAL_DISTANCE, float)
+    successors = corner_successors(scenario, state)
+    waiting_ticks = jnp.zeros((), jnp.int32)
+    return ExpertMemory(knots, successors, distance_min, waiting_ticks)
 
 
 def apply(
@@ -111,16 +113,21 @@ def plan(
     last = search.last_knots
     noise = jax.random.normal(key, (WIDE_SAMPLES + CLOSE_SAMPLES, *last.shape), float)
 
+    wide_deviation, close_deviation = DEVIATION
+
     # Widely around the last plan and over constant arcs, ...
-    wide = jnp.clip(last[None] + DEVIATION[0] * noise[:WIDE_SAMPLES], -1.0, 1.0)
-    wide = jnp.concatenate([last[None], wide, jnp.asarray(_arcs(last.shape[1]), float)])
-    best = wide[jnp.argmin(plan_costs(search, wide))]
+    wide = jnp.clip(last[None] + wide_deviation * noise[:WIDE_SAMPLES], -1.0, 1.0)
+    arcs = jnp.asarray(_arcs(last.shape[1]), float)
+    wide = jnp.concatenate([last[None], wide, arcs])  # (P, KNOTS, command)
+    costs = plan_costs(search, wide)
+    best = wide[jnp.argmin(costs)]
 
     # ... then narrowly around the best.
-    close = jnp.clip(best[None] + DEVIATION[1] * noise[WIDE_SAMPLES:], -1.0, 1.0)
+    close = jnp.clip(best[None] + close_deviation * noise[WIDE_SAMPLES:], -1.0, 1.0)
     close = jnp.concatenate([best[None], close])
     weights = importance(plan_costs(search, close), params.temperature)
-    return follow_plan(search, (weights[:, None, None] * close).sum(0))
+    weighted = weights[:, None, None] * close
+    return follow_plan(search, weighted.sum(0))
 
 
 class PlanSearch(NamedTuple):
@@ -146,15 +153,19 @@ def begin_search(scenario: Scenario, params: ExpertParams, state: State, people:
     # Corners that are near from the robot and from four places along the last plan.
     motion = _simulate(scenario, state, last_knots[None], limits)
     position = state.robot.position
-    x = jnp.append(position[0], motion.x[STEPS // 4 - 1 :: STEPS // 4, 0])
-    y = jnp.append(position[1], motion.y[STEPS // 4 - 1 :: STEPS // 4, 0])
+    quarter = STEPS // 4
+    x = jnp.append(position[0], motion.x[quarter - 1 :: quarter, 0])
+    y = jnp.append(position[1], motion.y[quarter - 1 :: quarter, 0])
     table = build_cost_to_go(scenario, state, memory.successors, x, y)
 
     # A robot that waits comes nearer to people.
     distance_min, waiting_ticks = _progress(scenario, params, state, table)
     waiting = scenario.time_step * waiting_ticks.astype(position.dtype)
-    personal_space = params.weights.personal_space * params.patience / (params.patience + waiting)
-    params = replace(params, weights=replace(params.weights, personal_space=personal_space))
+    weights = params.weights
+    patience = params.patience
+    personal_space = weights.personal_space * patience / (patience + waiting)
+    weights = replace(weights, personal_space=personal_space)
+    params = replace(params, weights=weights)
     return PlanSearch(scenario, params, state, people, limits, last_knots, table, distance_min, waiting_ticks)
 
 
@@ -182,7 +193,9 @@ def plan_limits(scenario: Scenario) -> tuple[Array, Array, Array]:
     """Top speeds ahead and backward [m/s] and turn rate [rad/s]: the robot's, or lower ones among people."""
     model = scenario.robot
     ahead = jnp.minimum(model.max_speed, MAX_SPEED)
-    return ahead, jnp.minimum(max_reverse_speed(model), ahead), jnp.minimum(model.max_turn_rate, MAX_TURN_RATE)
+    backward = jnp.minimum(max_reverse_speed(model), ahead)
+    turn_rate = jnp.minimum(model.max_turn_rate, MAX_TURN_RATE)
+    return ahead, backward, turn_rate
 
 
 def _progress(scenario: Scenario, params: ExpertParams, state: State, table: CostToGo) -> tuple[Array, Array]:
@@ -190,7 +203,8 @@ def _progress(scenario: Scenario, params: ExpertParams, state: State, table: Cos
 
     Without it two polite agents would wait for each other forever.
     """
-    memory, position = state.policy_state, state.robot.position
+    memory = state.policy_state
+    position = state.robot.position
     distance = jax.lax.stop_gradient(distance_to_goal(scenario, state, table, position[:1], position[1:])[0])
     distance = jnp.where(jnp.isfinite(distance), distance, memory.distance_min)
     nearer = distance < memory.distance_min - MIN_PROGRESS
@@ -215,32 +229,46 @@ def _arcs(size: int) -> np.ndarray:
 def _shift(knots: Array, seconds: float) -> Array:
     """The plan with that much of its beginning removed; its last command continues."""
     share = seconds * (KNOTS - 1) / (STEPS * TIME_STEP)
-    return knots + share * jnp.diff(knots, axis=0, append=knots[-1:])
+    change = jnp.diff(knots, axis=0, append=knots[-1:])
+    return knots + share * change
 
 
-def _commands(model: RobotModel, shares: Array, limits: tuple[Array, Array, Array]) -> Array:
+def _commands(
+    model: RobotModel, shares: Float[Array, "... command"], limits: tuple[Array, Array, Array]
+) -> Float[Array, "... command"]:
     """Commands [m/s, rad/s] of shares of the limits; the second share of a car is of its steering angle."""
-    ahead, back, turn = limits
-    speed = jnp.where(shares[..., 0] > 0.0, ahead, back) * shares[..., 0]
+    ahead, backward, turn_rate = limits
+    top_speed = jnp.where(shares[..., 0] > 0.0, ahead, backward)
+    speed = top_speed * shares[..., 0]
     if model.lateral is not None:
         left = jnp.minimum(model.lateral.max_speed, ahead) * shares[..., 1]
-        return jnp.stack([speed, left, turn * shares[..., 2]], -1)
+        turn = turn_rate * shares[..., 2]
+        return jnp.stack([speed, left, turn], -1)
     if model.steering is not None:
         angle = model.steering.max_angle * shares[..., 1]
-        return jnp.stack([speed, ackermann.turn_rate_of(model, speed, angle)], -1)
-    return jnp.stack([speed, turn * shares[..., 1]], -1)
+        turn = ackermann.turn_rate_of(model, speed, angle)
+    else:
+        turn = turn_rate * shares[..., 1]
+    return jnp.stack([speed, turn], -1)
 
 
-def _simulate(scenario: Scenario, state: State, knots: Array, limits: tuple[Array, Array, Array]) -> RobotMotion:
-    """The motion on the floor of plans (P, KNOTS, command)."""
-    model, robot = scenario.robot, state.robot
-    shares = jnp.einsum("tk,pkc->tpc", jnp.asarray(INTERPOLATION, float), knots)
+def _simulate(
+    scenario: Scenario, state: State, knots: Float[Array, "P knots command"], limits: tuple[Array, Array, Array]
+) -> RobotMotion:
+    """The motion of plans on the floor."""
+    model = scenario.robot
+    robot = state.robot
+    interpolation = jnp.asarray(INTERPOLATION, float)
+    shares = jnp.einsum("tk,pkc->tpc", interpolation, knots)
     commands = _commands(model, shares, limits)
     components = tuple(commands[..., index] for index in range(commands.shape[-1]))
     speeds = LAWS[model.drive_type].speeds(model, robot)
     motion = prediction.predict_robot(model, speeds, components, TIME_STEP)
-    x, y = prediction.to_world(robot.position, robot.heading, motion.x, motion.y)
-    yaw = motion.yaw + jnp.arctan2(robot.heading[1], robot.heading[0])
+
+    # From the robot's frame to the floor's.
+    heading = robot.heading
+    x, y = prediction.to_world(robot.position, heading, motion.x, motion.y)
+    yaw = motion.yaw + jnp.arctan2(heading[1], heading[0])
     return motion._replace(x=x, y=y, yaw=yaw)
 
 
@@ -250,7 +278,8 @@ def _cost(
     """(P,) cost of trajectories (T, P): the remaining path, and the social costs along the way."""
     x, y, yaw, speed, turn_rate = motion
     weights = params.weights
-    rate = obstacle_rate(scenario, weights, x, y) + people_rate(scenario, weights, x, y, people)
+    rate = obstacle_rate(scenario, weights, x, y)
+    rate = rate + people_rate(scenario, weights, x, y, people)
     rate = rate + group_rate(state, weights, x, y)
     rate = rate + comfort_rate(weights, state.robot, speed, turn_rate)
     halfway, end = _remaining_paths(scenario, params, state, table, x, y)
@@ -262,19 +291,26 @@ def _remaining_paths(
     scenario: Scenario, params: ExpertParams, state: State, table: CostToGo, x: Array, y: Array
 ) -> tuple[Array, Array]:
     """(P,) m, the paths that remain in the middle and at the end of trajectories (T, P)."""
-    middle_and_end_x = jnp.concatenate([x[STEPS // 2 - 1], x[-1]])
-    middle_and_end_y = jnp.concatenate([y[STEPS // 2 - 1], y[-1]])
+    half = STEPS // 2 - 1
+    middle_and_end_x = jnp.concatenate([x[half], x[-1]])  # (2 P,)
+    middle_and_end_y = jnp.concatenate([y[half], y[-1]])
     distance = distance_to_goal(scenario, state, table, middle_and_end_x, middle_and_end_y)
     distance = jnp.where(jnp.isfinite(distance), distance, UNKNOWN_DISTANCE)
-    middle, end = jnp.split(jnp.maximum(distance - params.goal_tolerance, 0.0), 2)
+    remaining = jnp.maximum(distance - params.goal_tolerance, 0.0)
+    middle, end = jnp.split(remaining, 2)
     return middle, end
 
 
-def _goal_heading_cost(state: State, x: Array, y: Array, yaw: Array, weights: SocialCosts) -> Array:
-    """(P,) cost of another heading than the goal's, within 0.6 m of the goal."""
-    goal, goal_heading = state.task.goal, state.task.goal_heading
-    nearness = jnp.clip(1.0 - length(goal[0] - x, goal[1] - y) / 0.6, 0.0, 1.0)
-    turned_away = 1.0 - (jnp.cos(yaw) * goal_heading[0] + jnp.sin(yaw) * goal_heading[1])
+def _goal_heading_cost(
+    state: State, x: Float[Array, "P"], y: Float[Array, "P"], yaw: Float[Array, "P"], weights: SocialCosts
+) -> Float[Array, "P"]:
+    """Cost of another heading than the goal's, within 0.6 m of the goal."""
+    goal = state.task.goal
+    goal_heading = state.task.goal_heading
+    distance = length(goal[0] - x, goal[1] - y)
+    nearness = jnp.clip(1.0 - distance / 0.6, 0.0, 1.0)
+    cosine = jnp.cos(yaw) * goal_heading[0] + jnp.sin(yaw) * goal_heading[1]
+    turned_away = 1.0 - cosine
     return weights.goal_heading * nearness * turned_away
 
 
@@ -288,14 +324,16 @@ def obstacle_rate(
     gap = obstacle_gap(scenario, x, y)
     near = jnp.clip(1.0 - gap / OBSTACLE_REACH, 0.0, 1.0)
     inside = jnp.clip(-gap / OBSTACLE_MARGIN, 0.0, 10.0)
-    return weights.obstacle * near * near + weights.contact * (inside + jnp.where(gap < 0.0, 1.0, 0.0))
+    touches = jnp.where(gap < 0.0, 1.0, 0.0)
+    return weights.obstacle * near * near + weights.contact * (inside + touches)
 
 
 def obstacle_gap(scenario: Scenario, x: Float[Array, "T P"], y: Float[Array, "T P"]) -> Float[Array, "T P"]:
     """Distance [m] of the robot at (x, y) [m] from obstacles and the edge of the floor, less ``OBSTACLE_MARGIN``."""
     to_edge = to_border(scenario.environment, x, y)
     distance, _, _ = obstacle_distances(scenario.environment, x, y)
-    return jnp.minimum(jnp.min(distance, -1), to_edge) - scenario.robot.radius - OBSTACLE_MARGIN
+    nearest = jnp.minimum(jnp.min(distance, -1), to_edge)
+    return nearest - scenario.robot.radius - OBSTACLE_MARGIN
 
 
 def people_rate(
@@ -321,22 +359,29 @@ def people_rate(
     reach = jnp.maximum(PERSONAL, distance_min + 0.4)
     personal = jnp.clip(1.0 - stretched / reach, 0.0, 1.0)
     inside = jnp.clip((distance_min - distance) / 0.2, 0.0, 3.0)
-    contact = weights.contact * (inside + jnp.where(distance < distance_min, 1.0, 0.0))
-    return (weights.personal_space * personal * personal + contact).sum(-1)
+    touches = jnp.where(distance < distance_min, 1.0, 0.0)
+    contact = weights.contact * (inside + touches)
+    rate = weights.personal_space * personal * personal + contact
+    return rate.sum(-1)
 
 
 def group_rate(
     state: State, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"]
 ) -> Float[Array, "T P"]:
     """Cost [1/s] of being in o-spaces, at (x, y) [m]; less far for groups that the task joins or leaves."""
-    groups, task = state.groups, state.task
+    groups = state.groups
+    task = state.task
     index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
     is_task_group = (index == task.goal_group) | (index == task.start_group)
-    center_x, center_y = groups.center[None, None, :, 0], groups.center[None, None, :, 1]
+    share = jnp.where(is_task_group, 0.5, 1.2)  # of an o-space's radius
+    radius = share * jnp.maximum(groups.radius, 1e-3)  # (G,)
+
+    center_x = groups.center[None, None, :, 0]
+    center_y = groups.center[None, None, :, 1]
     distance = length(x[..., None] - center_x, y[..., None] - center_y)  # (T, P, G)
-    radius = jnp.where(is_task_group, 0.5, 1.2) * jnp.maximum(groups.radius, 1e-3)
     depth = jnp.clip(1.0 - distance / radius[None, None, :], 0.0, 1.0)
-    return weights.o_space * jnp.where(groups.present[None, None, :], depth, 0.0).sum(-1)
+    depth = jnp.where(groups.present[None, None, :], depth, 0.0)
+    return weights.o_space * depth.sum(-1)
 
 
 def comfort_rate(

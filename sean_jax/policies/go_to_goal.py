@@ -1,7 +1,7 @@
 """go_to_goal: pure pursuit of the shortest path around obstacles, giving way to people."""
 
 import jax.numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from sean_jax.core.data_types import Array, Observation, Scenario, State
 from sean_jax.core.geometry import angle_between, length
@@ -48,53 +48,71 @@ def _aim(observation: Observation) -> tuple[Array, Array]:
 
     All of them in the robot's frame.
     """
-    path, people = observation.path, observation.people
+    path = observation.path
     to_corner = length(path[0], path[1])
     bearing = jnp.arctan2(path[1], jnp.where(to_corner > 0.0, path[0], 1.0))
-    distance = length(people[:, 0], people[:, 1])
-    direction = jnp.arctan2(people[:, 1], jnp.where(distance > 0.0, people[:, 0], 1.0))
+
+    people_x = observation.people[:, 0]
+    people_y = observation.people[:, 1]
+    distance = length(people_x, people_y)  # (N,)
+    direction = jnp.arctan2(people_y, jnp.where(distance > 0.0, people_x, 1.0))
 
     # A person is in the way if the disc to pass around hides the bearing.
     offset = _wrap(direction - bearing)
     half_width = _half_width(distance)
-    is_near = observation.people_present & (distance < jnp.minimum(2.0, to_corner + 0.3))
+    reach = jnp.minimum(2.0, to_corner + 0.3)
+    is_near = observation.people_present & (distance < reach)
     in_way = is_near & (jnp.abs(offset) < half_width)
-    if not in_way.shape[0]:
+    if not len(in_way):
         return direction, bearing
 
+    # The nearest of them is passed on the side where the bearing is.
     nearest = jnp.argmin(jnp.where(in_way, distance, jnp.inf))
     side = jnp.where(offset[nearest] > 0.0, -1.0, 1.0)
     beside_person = direction[nearest] + side * half_width[nearest]
-    return direction, _wrap(jnp.where(in_way.any(), beside_person, bearing))
+    aim = jnp.where(in_way.any(), beside_person, bearing)
+    return direction, _wrap(aim)
 
 
-def _differential(scenario: Scenario, observation: Observation, direction: Array, aim: Array) -> Array:
-    """The command (2,) of a robot that turns toward ``aim`` [rad], with people in these directions [rad]."""
+def _differential(
+    scenario: Scenario, observation: Observation, direction: Float[Array, "N"], aim: Float[Array, ""]
+) -> Float[Array, "2"]:
+    """The command of a robot that turns toward ``aim`` [rad], with people in these directions [rad]."""
     model = scenario.robot
     is_ahead = observation.people_present & (jnp.abs(direction) < jnp.pi / 3)
     distance = length(observation.people[:, 0], observation.people[:, 1])
     closing = jnp.maximum(-observation.people_velocity[:, 0], 0.0)  # approaching people need more distance
-    share = _share_of_speed(is_ahead, distance, closing) * jnp.clip(jnp.cos(aim), 0.0, 1.0)
+    free = _share_of_speed(is_ahead, distance, closing)
+    share = free * jnp.clip(jnp.cos(aim), 0.0, 1.0)
+
+    # Slower near the goal, and at rest in it, where the robot turns to the goal's heading.
     to_goal = _to_goal(observation)
     speed = model.max_speed * share * jnp.clip(to_goal / 0.5, 0.0, 1.0)
-
     arrived = to_goal < GOAL_TOLERANCE
     turn = jnp.where(arrived, _to_goal_heading(observation), aim)
-    return jnp.stack([jnp.where(arrived, 0.0, speed), clip_turn_rate(model, TURN_GAIN * turn)])
+    speed = jnp.where(arrived, 0.0, speed)
+    turn_rate = clip_turn_rate(model, TURN_GAIN * turn)
+    return jnp.stack([speed, turn_rate])
 
 
-def _omnidirectional(scenario: Scenario, observation: Observation, direction: Array, aim: Array) -> Array:
-    """The command (3,) of a robot that drives at the angle ``aim`` [rad], with people in these directions [rad]."""
-    model, lateral = scenario.robot, scenario.robot.lateral
-    assert lateral is not None
+def _omnidirectional(
+    scenario: Scenario, observation: Observation, direction: Float[Array, "N"], aim: Float[Array, ""]
+) -> Float[Array, "3"]:
+    """The command of a robot that drives at the angle ``aim`` [rad], with people in these directions [rad]."""
+    model = scenario.robot
+    assert model.lateral is not None
     to_goal = _to_goal(observation)
-    top_speed = jnp.minimum(model.max_speed, lateral.max_speed) * jnp.clip(to_goal / 0.5, 0.0, 1.0)
+    limit = jnp.minimum(model.max_speed, model.lateral.max_speed)
+    top_speed = limit * jnp.clip(to_goal / 0.5, 0.0, 1.0)
     speed = top_speed * _free_share(observation, direction, aim)
 
     arrived = to_goal < GOAL_TOLERANCE
     speed = jnp.where(arrived, 0.0, speed)
     turn = jnp.where(arrived, _to_goal_heading(observation), aim)
-    return jnp.stack([speed * jnp.cos(aim), speed * jnp.sin(aim), clip_turn_rate(model, TURN_GAIN * turn)])
+    ahead = speed * jnp.cos(aim)
+    left = speed * jnp.sin(aim)
+    turn_rate = clip_turn_rate(model, TURN_GAIN * turn)
+    return jnp.stack([ahead, left, turn_rate])
 
 
 def _to_goal(observation: Observation) -> Array:
@@ -107,8 +125,10 @@ def _to_goal_heading(observation: Observation) -> Array:
     return angle_between(jnp.asarray([1.0, 0.0], float), observation.goal_heading)
 
 
-def _car(scenario: Scenario, state: State, observation: Observation, direction: Array, aim: Array) -> Array:
-    """The command (2,) of a car: pure pursuit ahead, and back with the other lock while the place is out of reach.
+def _car(
+    scenario: Scenario, state: State, observation: Observation, direction: Float[Array, "N"], aim: Float[Array, ""]
+) -> Float[Array, "2"]:
+    """The command of a car: pure pursuit ahead, and back with the other lock while the place is out of reach.
 
     Source: pure pursuit is R. C. Coulter, "Implementation of the pure pursuit path tracking algorithm", 1992.
     """
@@ -126,7 +146,9 @@ def _car(scenario: Scenario, state: State, observation: Observation, direction: 
 
     # Pure pursuit, or the other lock backward.
     curvature = 2.0 * sine / jnp.maximum(distance, LOOK_AHEAD)
-    curvature = jnp.clip(curvature, -1.0 / turning_radius, 1.0 / turning_radius)
+    right_lock = -1.0 / turning_radius
+    left_lock = 1.0 / turning_radius
+    curvature = jnp.clip(curvature, right_lock, left_lock)
     curvature = jnp.where(reverses, -jnp.sign(bearing) / turning_radius, curvature)
 
     speed = _car_speed(scenario, observation, direction, curvature, reverses)
@@ -134,11 +156,16 @@ def _car(scenario: Scenario, state: State, observation: Observation, direction: 
 
 
 def _car_speed(
-    scenario: Scenario, observation: Observation, direction: Array, curvature: Array, reverses: Array
-) -> Array:
+    scenario: Scenario,
+    observation: Observation,
+    direction: Float[Array, "N"],
+    curvature: Float[Array, ""],
+    reverses: Bool[Array, ""],
+) -> Float[Array, ""]:
     """The speed [m/s] of a car in a curve [1/m], which curves, people in these directions [rad] and the goal limit."""
     model = scenario.robot
-    curve_speed = jnp.sqrt(LATERAL_ACCELERATION / jnp.maximum(jnp.abs(curvature), 1e-3))
+    sharpness = jnp.maximum(jnp.abs(curvature), 1e-3)
+    curve_speed = jnp.sqrt(LATERAL_ACCELERATION / sharpness)
     to_goal = _to_goal(observation)
     top_speed = model.max_speed * jnp.clip(to_goal / 1.0, 0.2, 1.0)
     free_ahead = _free_share(observation, direction, jnp.zeros_like(curvature))
@@ -153,13 +180,18 @@ def _reverses(scenario: Scenario, state: State, bearing: Array, distance: Array,
     """() bool, whether a car backs up, while its place is behind it or inside a circle to one side."""
     was_reversing = state.robot.drive_state.command[0] < 0.0
     sine = jnp.abs(jnp.sin(bearing))  # the circle to that side ends 2 r sin(bearing) ahead
-    begins = (jnp.abs(bearing) > BEHIND) | (distance < 2.0 * turning_radius * sine)
-    ends = (jnp.abs(bearing) < AHEAD) & (distance > 2.0 * OUTSIDE * turning_radius * sine)
+    is_behind = jnp.abs(bearing) > BEHIND
+    begins = is_behind | (distance < 2.0 * turning_radius * sine)
+    is_ahead = jnp.abs(bearing) < AHEAD
+    ends = is_ahead & (distance > 2.0 * OUTSIDE * turning_radius * sine)
 
     # Walls change the direction: the one in front at once, the one behind if it is too near to begin or to go on.
     front, rear = _gaps(scenario, state)
-    reverses = jnp.where(was_reversing, ~ends | (front < FREE_GAP), begins | (front < WALL_GAP))
-    return reverses & (rear > jnp.where(was_reversing, WALL_GAP, FREE_GAP))
+    goes_on = ~ends | (front < FREE_GAP)
+    begins = begins | (front < WALL_GAP)
+    reverses = jnp.where(was_reversing, goes_on, begins)
+    least_rear = jnp.where(was_reversing, WALL_GAP, FREE_GAP)
+    return reverses & (rear > least_rear)
 
 
 def _gaps(scenario: Scenario, state: State) -> tuple[Array, Array]:
@@ -169,24 +201,31 @@ def _gaps(scenario: Scenario, state: State) -> tuple[Array, Array]:
     distance, nx, ny = obstacle_distances(scenario.environment, x, y)
     gap = distance - scenario.robot.radius
     ahead = nx * heading[0] + ny * heading[1]  # of the normal, which points away from the obstacle
-    front = jnp.min(jnp.where(ahead < -TOWARD_WALL, gap, jnp.inf), initial=jnp.inf)
-    rear = jnp.min(jnp.where(ahead > TOWARD_WALL, gap, jnp.inf), initial=jnp.inf)
+    front_gaps = jnp.where(ahead < -TOWARD_WALL, gap, jnp.inf)  # (W,)
+    front = jnp.min(front_gaps, initial=jnp.inf)
+    rear_gaps = jnp.where(ahead > TOWARD_WALL, gap, jnp.inf)
+    rear = jnp.min(rear_gaps, initial=jnp.inf)
     return front, rear
 
 
 def _free_share(observation: Observation, direction: Array, course: Array) -> Array:
     """Share of the speed that people leave on a course at that angle [rad]; they are in these directions [rad]."""
-    is_ahead = observation.people_present & (jnp.abs(_wrap(direction - course)) < jnp.pi / 3)
+    deviation = jnp.abs(_wrap(direction - course))  # (N,)
+    is_ahead = observation.people_present & (deviation < jnp.pi / 3)
     distance = length(observation.people[:, 0], observation.people[:, 1])
-    velocity = observation.people_velocity
-    closing = jnp.maximum(-(velocity[:, 0] * jnp.cos(course) + velocity[:, 1] * jnp.sin(course)), 0.0)
+    vx = observation.people_velocity[:, 0]
+    vy = observation.people_velocity[:, 1]
+    along = vx * jnp.cos(course) + vy * jnp.sin(course)
+    closing = jnp.maximum(-along, 0.0)
     return _share_of_speed(is_ahead, distance, closing)
 
 
 def _share_of_speed(is_ahead: Array, distance: Array, closing: Array) -> Array:
     """Share of the speed by the distance [m] of people ahead, and the speed [m/s] with which they come nearer."""
-    free = distance - STOP_DISTANCE - 0.3 * closing
-    free = jnp.min(jnp.where(is_ahead, free, SLOW_DISTANCE), initial=SLOW_DISTANCE)
+    lost = 0.3 * closing
+    free = distance - STOP_DISTANCE - lost
+    free = jnp.where(is_ahead, free, SLOW_DISTANCE)
+    free = jnp.min(free, initial=SLOW_DISTANCE)
     return jnp.clip(free / (SLOW_DISTANCE - STOP_DISTANCE), 0.0, 1.0)
 
 
@@ -195,7 +234,8 @@ def _half_width(distance: Array) -> Array:
     beyond = distance * distance - PASSING_DISTANCE * PASSING_DISTANCE
     outside = beyond > 0.0
     tangent = jnp.sqrt(jnp.where(outside, beyond, 1.0))  # m, to the disc
-    return jnp.where(outside, jnp.arctan2(PASSING_DISTANCE, tangent), 0.5 * jnp.pi)
+    half_width = jnp.arctan2(PASSING_DISTANCE, tangent)
+    return jnp.where(outside, half_width, 0.5 * jnp.pi)
 
 
 def _wrap(angle: Array) -> Array:

@@ -58,7 +58,8 @@ def known_people(scenario: Scenario, sight: Sight, state: State, before: KnownPe
 
     Positions and velocities of visible people are exact, and identities are never confused.
     """
-    people, time_step = state.pedestrians, scenario.time_step
+    people = state.pedestrians
+    time_step = scenario.time_step
     eye = sensors.camera(scenario, "depth", width=WIDTH, height=HEIGHT)
     pixels = sensors.pixels_of_people(scenario, state, eye)
     visible = people.present & (pixels.astype(people.position.dtype) >= sight.min_pixels)

@@ -35,7 +35,8 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "command"
     Raises:
         InputError: the robot is a car.
     """
-    robot, model = state.robot, scenario.robot
+    robot = state.robot
+    model = scenario.robot
     require(model, ("differential", "omnidirectional"), "orca steers")
     observation = observe(scenario, state)
     lever, speed_ahead, speed_left = steering.point_ahead(model, robot)
@@ -48,7 +49,8 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "command"
     ny = jnp.concatenate([people_y, obstacles_y])
     bounds = jnp.concatenate([people, obstacles])
     hard = jnp.arange(len(bounds)) >= len(people)  # half-planes of obstacles are never violated
-    x, y = best_velocity(VelocityProgram(nx, ny, bounds, hard, *preferred, model.max_speed))
+    program = VelocityProgram(nx, ny, bounds, hard, *preferred, model.max_speed)
+    x, y = best_velocity(program)
     return steering.follow(scenario, robot, observation, x, y)
 
 
@@ -66,34 +68,44 @@ def _preferred_velocity(
 
 def _people_half_planes(
     scenario: Scenario, state: State, lever: Array, speed_ahead: Array, speed_left: Array
-) -> tuple[Array, Array, Array]:
-    """(K,) normals x, y and (K,) m/s: half-planes that bound the velocity in the robot's frame, clear of people."""
-    robot, model = state.robot, scenario.robot
+) -> tuple[Float[Array, "K"], Float[Array, "K"], Float[Array, "K"]]:
+    """Normals x, y and m/s: half-planes that bound the velocity in the robot's frame, clear of people."""
+    robot = state.robot
     cosine, sine = robot.heading[0], robot.heading[1]
     people = nearest_people(state, MAX_PEOPLE)
     gap = people.position - robot.position[None, :]  # (K, 2) m
     dx, dy = _to_robot(gap, cosine, sine)
     vx, vy = _to_robot(people.velocity, cosine, sine)
 
-    reach = model.radius + lever + scenario.forces.walking.radius + PEOPLE_MARGIN
+    reach = scenario.robot.radius + lever + scenario.forces.walking.radius + PEOPLE_MARGIN
     breaks_tie = jnp.ones((), bool)  # of two at one place
+    dx = dx - lever
+    vx = speed_ahead - vx
+    vy = speed_left - vy
     planes = jax.vmap(half_plane, in_axes=(0, 0, 0, 0, None, None, None, None))
-    nx, ny, out = planes(
-        dx - lever, dy, speed_ahead - vx, speed_left - vy, reach, PEOPLE_HORIZON, scenario.time_step, breaks_tie
-    )
+    nx, ny, out = planes(dx, dy, vx, vy, reach, PEOPLE_HORIZON, scenario.time_step, breaks_tie)
+
     square = gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]
     is_near = people.present & (square < MAX_DISTANCE * MAX_DISTANCE)
-    return nx, ny, jnp.where(is_near, nx * speed_ahead + ny * speed_left + out, UNBOUNDED)
+    bound = nx * speed_ahead + ny * speed_left + out
+    return nx, ny, jnp.where(is_near, bound, UNBOUNDED)
 
 
-def _to_robot(vectors: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:
-    """Components (K,) ahead and to the left of vectors (K, 2)."""
-    x, y = vectors[:, 0], vectors[:, 1]
-    return x * cosine + y * sine, y * cosine - x * sine
+def _to_robot(
+    vectors: Float[Array, "K 2"], cosine: Float[Array, ""], sine: Float[Array, ""]
+) -> tuple[Float[Array, "K"], Float[Array, "K"]]:
+    """Components of vectors ahead and to the left."""
+    x = vectors[:, 0]
+    y = vectors[:, 1]
+    ahead = x * cosine + y * sine
+    left = y * cosine - x * sine
+    return ahead, left
 
 
-def _obstacle_half_planes(scenario: Scenario, state: State) -> tuple[Array, Array, Array]:
-    """(W,) normals x, y and (W,) m/s: half-planes that bound the velocity in the robot's frame, clear of obstacles.
+def _obstacle_half_planes(
+    scenario: Scenario, state: State
+) -> tuple[Float[Array, "W"], Float[Array, "W"], Float[Array, "W"]]:
+    """Normals x, y and m/s: half-planes that bound the velocity in the robot's frame, clear of obstacles.
 
     Only the velocity moves a disc, not how it turns: n . v >= -gap / horizon for the normal n away from an obstacle.
     The velocity of a differential drive is along its heading, so that its normals are (1, 0) or (-1, 0).
@@ -101,15 +113,19 @@ def _obstacle_half_planes(scenario: Scenario, state: State) -> tuple[Array, Arra
     x, y = state.robot.position
     heading = state.robot.heading
     distance, nx, ny = obstacle_distances(scenario.environment, x, y)
-    _, nearest = jax.lax.top_k(-jax.lax.stop_gradient(distance), min(MAX_OBSTACLES, distance.shape[0]))
-    gap = jnp.maximum(distance[nearest] - scenario.robot.radius - OBSTACLE_MARGIN, 0.0)
+    count = min(MAX_OBSTACLES, len(distance))
+    _, nearest = jax.lax.top_k(-jax.lax.stop_gradient(distance), count)
+    gap = distance[nearest] - scenario.robot.radius - OBSTACLE_MARGIN
+    gap = jnp.maximum(gap, 0.0)
     if state.robot.sideways is not None:
         ahead, left = rotate(nx[nearest], ny[nearest], heading[0], -heading[1])
         return ahead, left, -gap / OBSTACLE_HORIZON
 
+    # An obstacle beside the robot bounds no speed.
     ahead = nx[nearest] * heading[0] + ny[nearest] * heading[1]
     is_steep = jnp.abs(ahead) > 1e-3
     steepness = jnp.where(is_steep, jnp.abs(ahead), 1.0)
-    bound = jnp.where(is_steep, -gap / (OBSTACLE_HORIZON * steepness), UNBOUNDED)
+    bound = -gap / (OBSTACLE_HORIZON * steepness)
+    bound = jnp.where(is_steep, bound, UNBOUNDED)
     side = jnp.where(ahead < 0.0, -1.0, 1.0)
     return side, jnp.zeros_like(side), bound

@@ -87,7 +87,8 @@ def nearest_people(state: State, count: int) -> Pedestrians:
     gap = people.position - state.robot.position[None, :]
     square = gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]  # (N,) m2
     square = jnp.where(people.present, square, jnp.inf)
-    _, index = jax.lax.top_k(-jax.lax.stop_gradient(square), min(count, square.shape[0]))
+    count = min(count, len(square))
+    _, index = jax.lax.top_k(-jax.lax.stop_gradient(square), count)
     return jax.tree.map(lambda leaf: leaf[index], people)
 
 
@@ -103,7 +104,8 @@ def predict_people(
     change its direction, it has no derivative. Over all these steps it would grow by a factor of thousands in each,
     beyond what single precision holds.
     """
-    forces, grid = scenario.forces, scenario.environment.obstacle_grid
+    forces = scenario.forces
+    grid = scenario.environment.obstacle_grid
 
     def step(people: Pedestrians, _: None) -> tuple[Pedestrians, tuple]:
         coincident = _coincident(people)[:, None]
@@ -119,16 +121,21 @@ def predict_people(
 def _absent_far_away(people: Pedestrians, x: Array, y: Array) -> tuple[Array, Array]:
     """Places (T, K) [m] of people, and others for those who are absent."""
     present = people.present[None, :]
-    return jnp.where(present, x, ABSENT_DISTANCE), jnp.where(present, y, ABSENT_DISTANCE)
+    x = jnp.where(present, x, ABSENT_DISTANCE)
+    y = jnp.where(present, y, ABSENT_DISTANCE)
+    return x, y
 
 
 def predict_straight(people: Pedestrians, steps: int, time_step: float) -> PeopleMotion:
     """The motion of people at constant velocity, for people with unknown goals; steps of ``time_step`` [s]."""
-    seconds = time_step * (jnp.arange(steps, dtype=people.position.dtype) + 1.0)[:, None]
+    number = jnp.arange(steps, dtype=people.position.dtype) + 1.0
+    seconds = time_step * number[:, None]  # (T, 1)
     x, y = people.position.T[:, None, :]  # (1, K) each
     vx, vy = people.velocity.T[:, None, :]
-    px, py = _absent_far_away(people, x + seconds * vx, y + seconds * vy)
-    return PeopleMotion(px, py, jnp.broadcast_to(vx, px.shape), jnp.broadcast_to(vy, px.shape))
+    x, y = _absent_far_away(people, x + seconds * vx, y + seconds * vy)  # (T, K)
+    vx = jnp.broadcast_to(vx, x.shape)
+    vy = jnp.broadcast_to(vy, x.shape)
+    return PeopleMotion(x, y, vx, vy)
 
 
 def _coincident(people: Pedestrians) -> Bool[Array, "K"]:

@@ -48,7 +48,8 @@ def apply(
     Raises:
         InputError: the robot is a car.
     """
-    robot, model = state.robot, scenario.robot
+    robot = state.robot
+    model = scenario.robot
     require(model, ("differential", "omnidirectional"), "social_force steers")
     known = known_people(scenario, params, state, state.policy_state)
     state = as_known(state, known)

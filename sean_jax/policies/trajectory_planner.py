@@ -103,7 +103,8 @@ def sample_commands(
     reach = reachable(model, robot.speed, robot.turn_rate, time_step)
     top = jnp.minimum(params.top_speed * model.max_speed, MAX_REACH / HORIZON)
     slowest = jnp.clip(reach.speed_min, 0.0, top)  # of a robot that was pushed, too
-    fastest = jnp.minimum(jnp.minimum(top, to_goal / HORIZON), reach.speed_max)
+    fastest = jnp.minimum(top, to_goal / HORIZON)
+    fastest = jnp.minimum(fastest, reach.speed_max)
     fastest = jnp.maximum(fastest, 0.0)
     right = clip_turn_rate(model, reach.turn_rate_min)
     left = clip_turn_rate(model, reach.turn_rate_max)
@@ -111,8 +112,12 @@ def sample_commands(
 
     # Turns on the spot are at least as fast as ``spin_min``.
     turns = right + step * jnp.arange(TURN_RATE_SAMPLES, dtype=float)
-    ahead = slowest + (fastest - slowest) / (SPEED_SAMPLES - 1) * jnp.arange(SPEED_SAMPLES, dtype=float)
-    spins = jnp.where(turns > 0.0, jnp.maximum(turns, params.spin_min), jnp.minimum(turns, -params.spin_min))
+    left_spins = jnp.maximum(turns, params.spin_min)
+    right_spins = jnp.minimum(turns, -params.spin_min)
+    spins = jnp.where(turns > 0.0, left_spins, right_spins)
+
+    speed_step = (fastest - slowest) / (SPEED_SAMPLES - 1)
+    ahead = slowest + speed_step * jnp.arange(SPEED_SAMPLES, dtype=float)
 
     zero = jnp.zeros(1, float)
     curves = jnp.concatenate([zero, turns[:-1]])  # turn rates of each speed
@@ -177,11 +182,19 @@ def score_trajectories(
         return TrajectoryPoint(x, y, yaw, speed, turn_rate, highest_cost, result, cell), None
 
     # Places are in cells of the window, so that a look-up is a conversion to an integer.
-    zeros, none = jnp.zeros_like(commands[0]), jnp.zeros_like(commands[0], jnp.int32)
+    zeros = jnp.zeros_like(commands[0])
+    none = jnp.zeros_like(commands[0], jnp.int32)
     place = (robot.position - window.origin) / window.cell  # (2,) cells
     yaw = jnp.arctan2(robot.heading[1], robot.heading[0])
     start = TrajectoryPoint(
-        zeros + place[0], zeros + place[1], zeros + yaw, zeros + robot.speed, zeros + robot.turn_rate, zeros, none, none
+        x=zeros + place[0],
+        y=zeros + place[1],
+        yaw=zeros + yaw,
+        speed=zeros + robot.speed,
+        turn_rate=zeros + robot.turn_rate,
+        highest_cost=zeros,
+        result=none,
+        cell=none,
     )
     last, _ = jax.lax.scan(drive, start, length=POINTS)
 
@@ -217,7 +230,8 @@ def _enter_cells(
     cell = i * WINDOW + j
     edge = _edge_cost(planner_map, point, corners, cosine, sine)
     no_way = _look_up(planner_map.no_way, cell)
-    result_here = jnp.where(edge >= LETHAL, COLLIDES, jnp.where(no_way, NO_WAY, LEGAL))
+    result_here = jnp.where(no_way, NO_WAY, LEGAL)
+    result_here = jnp.where(edge >= LETHAL, COLLIDES, result_here)
     result = jnp.where(point.result == LEGAL, result_here, point.result)
     cost_here = jnp.maximum(edge, _look_up(planner_map.costs, cell))
     return cell, jnp.maximum(point.highest_cost, cost_here), result
@@ -227,7 +241,11 @@ def _edge_cost(
     planner_map: PlannerMap, point: TrajectoryPoint, corners: list[tuple[Array, Array]], cosine: Array, sine: Array
 ) -> Array:
     """The highest cost (P,) at the footprint's 16 corners, two at a time."""
-    offsets = [(ahead * cosine - left * sine, ahead * sine + left * cosine) for ahead, left in corners]
+    offsets = []
+    for ahead, left in corners:
+        dx = ahead * cosine - left * sine
+        dy = ahead * sine + left * cosine
+        offsets.append((dx, dy))
     for _ in range(3):
         offsets += [(-dy, dx) for dx, dy in offsets[-len(corners) :]]
 
@@ -252,7 +270,8 @@ def _accelerate(
         return jnp.clip(target, value - down * step, value + up * step)
 
     speed = ramp(point.speed, commands[0], model.max_acceleration, deceleration)
-    return speed, ramp(point.turn_rate, commands[1], turn_acceleration, turn_acceleration)
+    turn_rate = ramp(point.turn_rate, commands[1], turn_acceleration, turn_acceleration)
+    return speed, turn_rate
 
 
 def _pair_costs(costs: Float[Array, "W W"]) -> UInt8[Array, "cells"]:
@@ -265,8 +284,11 @@ def _pair_costs(costs: Float[Array, "W W"]) -> UInt8[Array, "cells"]:
 
 def last_time(speed: Float[Array, "P"], turn_rate: Float[Array, "P"]) -> Float[Array, "P"]:
     """Time [s] of the last point of ROS's trajectories: of n points, the first is now and the last is 2 / n s early."""
-    count = jnp.maximum(jnp.abs(speed) * (HORIZON / GRANULARITY), jnp.abs(turn_rate) / ANGLE_GRANULARITY)
-    return HORIZON * (1.0 - 1.0 / jnp.maximum(jnp.floor(count + 0.5), 1.0))
+    count_by_speed = jnp.abs(speed) * (HORIZON / GRANULARITY)
+    count_by_turn = jnp.abs(turn_rate) / ANGLE_GRANULARITY
+    count = jnp.maximum(count_by_speed, count_by_turn)
+    count = jnp.maximum(jnp.floor(count + 0.5), 1.0)
+    return HORIZON * (1.0 - 1.0 / count)
 
 
 def best_command(

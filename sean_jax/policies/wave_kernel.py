@@ -53,7 +53,9 @@ class CostOrder(NamedTuple):
 
 def supports(wave: Array) -> bool:
     """Whether the kernel can settle a wave: a window of ``SIDE`` x ``SIDE`` cells in single precision."""
-    return wave.shape == (SIDE, SIDE) and wave.dtype == np.float32 and gpu_kernels.available()
+    is_window = wave.shape == (SIDE, SIDE)
+    is_single = wave.dtype == np.float32
+    return is_window and is_single and gpu_kernels.available()
 
 
 def settle(rule: Callable, tolerance: float, far: float, wave: Array, cost: Array) -> Array:
@@ -63,8 +65,11 @@ def settle(rule: Callable, tolerance: float, far: float, wave: Array, cost: Arra
         rule: the value of a cell by the lower neighbors of each axis and by its cost.
         far: value beyond the window.
     """
-    call = gpu_kernels.batch(partial(_call, rule, tolerance, far), 1)
-    costs = jnp.stack([_skew(cost), _skew(cost[::-1])])  # as they are, and with their rows flipped
+    launch = partial(_call, rule, tolerance, far)
+    call = gpu_kernels.batch(launch, 1)
+    as_it_is = _skew(cost)
+    flipped = _skew(cost[::-1])
+    costs = jnp.stack([as_it_is, flipped])
     (result,) = call(wave.reshape(1, -1), costs.reshape(1, -1))
     return result.reshape(wave.shape)
 
@@ -72,31 +77,37 @@ def settle(rule: Callable, tolerance: float, far: float, wave: Array, cost: Arra
 def _skew(cells: Array) -> Array:
     """The cells in the order in which the threads of a sweep read them: row t - l of the columns 2l and 2l + 1."""
     side = len(cells)
+    times = side + side // 2 - 1
     column = np.arange(side)
-    time = np.arange(side + side // 2 - 1)[:, None]
-    return cells[(time - column // 2) % side, column]
+    time = np.arange(times)[:, None]
+    row = (time - column // 2) % side
+    return cells[row, column]
 
 
 def _call(rule: Callable, tolerance: float, far: float, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
     """The kernel, for operands of ``gpu_kernels.Call``."""
     wave = operands[0]
-    windows = max(operand.shape[0] for operand in operands)
-    lanes = math.isqrt(wave.shape[1]) // 2
-    out = (jax.ShapeDtypeStruct((windows, wave.shape[1]), wave.dtype),)
+    cells = wave.shape[1]
+    windows = max(len(operand) for operand in operands)
+    lanes = math.isqrt(cells) // 2
+    result = jax.ShapeDtypeStruct((windows, cells), wave.dtype)
     kernel = partial(_kernel, rule, tolerance, far, lanes)
-    return gpu_kernels.launch_warps(kernel, "wave", windows, lanes, out, *operands, interpret=interpret)
+    return gpu_kernels.launch_warps(kernel, "wave", windows, lanes, (result,), *operands, interpret=interpret)
 
 
 def _kernel(rule: Callable, tolerance: float, far: Any, lanes: int, window: Any, lane: Any, *references: Any) -> None:
     """A thread of a window."""
     wave, cost, result = references
-    wave_row = gpu_kernels.row(wave, window, result.shape[0])
-    cost_row = gpu_kernels.row(cost, window, result.shape[0])
+    windows = result.shape[0]
+    wave_row = gpu_kernels.row(wave, window, windows)
+    cost_row = gpu_kernels.row(cost, window, windows)
 
     # ``exchange`` swaps by xor, so the distance to a neighbor is the xor of both numbers.
-    to_left, to_right = ((lane ^ (lane + step)) & (lanes - 1) for step in (-1, 1))
-    warp = Warp(lane, lanes, wave.dtype.type(far), to_left, to_right)
+    to_left = (lane ^ (lane + -1)) & (lanes - 1)
+    to_right = (lane ^ (lane + 1)) & (lanes - 1)
+    far = wave.dtype.type(far)
     zero = wave.dtype.type(0.0)
+    warp = Warp(lane, lanes, far, to_left, to_right)
 
     def sweep(carry: tuple) -> tuple:
         # Four sweeps, one in each diagonal direction, are a round (fast sweeping; Zhao 2005); its change counts.
@@ -104,28 +115,38 @@ def _kernel(rule: Callable, tolerance: float, far: Any, lanes: int, window: Any,
         quarter = sweeps & 3
         change = jnp.where(quarter == 0, zero, change)
         order = _cost_order(warp, quarter)
-        rows, change = _sweep(rule, warp, [*rows], change, partial(_read, cost, cost_row), order)
+        read_cost = partial(_read, cost, cost_row)
+        rows, change = _sweep(rule, warp, [*rows], change, read_cost, order)
 
         # All threads must stop together: one that went on would wait for the others' exchanges.
         for distance in _distances(lanes):
             change = jnp.maximum(change, gpu_kernels.exchange(change, distance))
-        return sweeps + 1, change, _flip(rows, (quarter & 1) != 0, lane)
+
+        of_columns = (quarter & 1) != 0
+        return sweeps + 1, change, _flip(rows, of_columns, lane)
 
     def goes_on(carry: tuple) -> Any:
         sweeps, change, _ = carry
-        return ((sweeps & 3) != 0) | (gpu_kernels.uniform(change) > tolerance)
+        is_within_round = (sweeps & 3) != 0
+        return is_within_round | (gpu_kernels.uniform(change) > tolerance)
 
     # Each thread begins a row later than its left neighbor: slot s holds row s - lane.
-    cells = [((slot - lane) & (warp.side - 1)) * warp.side + 2 * lane for slot in range(warp.side)]
-    rows = [(wave[wave_row, cell], wave[wave_row, cell + 1]) for cell in cells]
+    cells = []
+    rows = []
+    for slot in range(warp.side):
+        row = (slot - lane) & (warp.side - 1)
+        cells.append(row * warp.side + 2 * lane)
+    for cell in cells:
+        rows.append((wave[wave_row, cell], wave[wave_row, cell + 1]))
 
     # ``lane >= 0`` always holds: it gives the constant the layout of a thread's value, as a loop's carry needs.
-    change = jnp.where(lane >= 0, warp.far, zero)
+    change = jnp.where(lane >= 0, far, zero)
     _, _, rows = jax.lax.while_loop(goes_on, sweep, (np.int32(0), change, rows))
 
     # The window lives in registers; only the settled wave goes to memory.
     for cell, (left, right) in zip(cells, rows, strict=True):
-        result[window, cell], result[window, cell + 1] = left, right
+        result[window, cell] = left
+        result[window, cell + 1] = right
 
 
 def _read(cost: Any, row: Any, index: Any) -> Any:
@@ -135,10 +156,13 @@ def _read(cost: Any, row: Any, index: Any) -> Any:
 def _cost_order(warp: Warp, quarter: Any) -> CostOrder:
     """The costs are there as they are, and with their rows flipped; both axes of either may be reversed."""
     reverse = quarter >= 2
-    cells = warp.times * warp.side  # of one of the two
     down = jnp.where(reverse, -warp.side, warp.side)
     across = jnp.where(reverse, -1, 1)
-    first = jnp.where(reverse, cells - 1 - 2 * warp.lane, 2 * warp.lane) + (quarter & 1) * cells
+
+    cells = warp.times * warp.side  # of one of the two
+    first = 2 * warp.lane
+    first = jnp.where(reverse, cells - 1 - first, first)
+    first = first + (quarter & 1) * cells
     return CostOrder(first, down, across)
 
 
@@ -151,7 +175,10 @@ def _sweep(
         old = rows[slot]
         new = _settle_row(rule, warp, rows, time, read_cost, order)
         if not warp.lanes - 1 <= time < warp.side:  # some threads have not begun, or have ended
-            runs = warp.lane <= time if time < warp.lanes else warp.lane > time - warp.side
+            if time < warp.lanes:
+                runs = warp.lane <= time
+            else:
+                runs = warp.lane > time - warp.side
             new = jnp.where(runs, new[0], old[0]), jnp.where(runs, new[1], old[1])
         for old_cell, new_cell in zip(old, new, strict=True):
             change = jnp.maximum(change, old_cell - new_cell)
@@ -161,8 +188,11 @@ def _sweep(
 
 def _settle_row(rule: Callable, warp: Warp, rows: Rows, time: int, read_cost: Callable, order: CostOrder) -> Cells:
     """The two cells of a thread's row by their neighbors, the left cell first."""
-    index = order.first + time * order.down
-    above, cells, below = (rows[(time + step) % warp.side] for step in (-1, 0, 1))
+    side = warp.side
+    index = order.first + time * order.down  # of the left cell's cost
+    above = rows[(time - 1) % side]
+    cells = rows[time % side]
+    below = rows[(time + 1) % side]
 
     # The left neighbor is a row ahead, the right one a row behind: their cells beside are in other slots.
     from_left = gpu_kernels.exchange(above[1], warp.to_left)
@@ -174,15 +204,19 @@ def _settle_row(rule: Callable, warp: Warp, rows: Rows, time: int, read_cost: Ca
     if time < warp.lanes:
         is_first_row = warp.lane == time
         above = tuple(jnp.where(is_first_row, warp.far, value) for value in above)
-    if time >= warp.side - 1:
-        is_last_row = warp.lane == time - warp.side + 1
+    if time >= side - 1:
+        is_last_row = warp.lane == time - side + 1
         below = tuple(jnp.where(is_last_row, warp.far, value) for value in below)
 
+    # The right cell has the new value of the left one.
     vertical = tuple(map(jnp.minimum, above, below))
     horizontal = jnp.minimum(left, cells[1])
-    first = jnp.minimum(cells[0], rule(vertical[0], horizontal, read_cost(index)))
+    cost = read_cost(index)
+    first = jnp.minimum(cells[0], rule(vertical[0], horizontal, cost))
+
     horizontal = jnp.minimum(first, right)
-    second = jnp.minimum(cells[1], rule(vertical[1], horizontal, read_cost(index + order.across)))
+    cost = read_cost(index + order.across)
+    second = jnp.minimum(cells[1], rule(vertical[1], horizontal, cost))
     return first, second
 
 
@@ -193,19 +227,23 @@ def _distances(lanes: int) -> list[int]:
 
 def _flip(rows: Rows, columns: Any, lane: Any) -> Rows:
     """The window with its columns flipped, or else its rows. The order of the slots spares registers."""
-    side, lanes = len(rows), len(rows) // 2
+    side = len(rows)
+    lanes = side // 2
     flipped: list = [None] * side
     for slot in sorted(range(side), key=lambda slot: min(slot, (lanes - slot) % side)):
         own = rows[side - 1 - slot]
         across = rows[(slot + lanes - 1) % side]
-        flipped[slot] = tuple(
-            jnp.where(columns, gpu_kernels.exchange(across[1 - column], lanes - 1), own[column]) for column in (0, 1)
-        )
+        cells = []
+        for own_cell, across_cell in zip(own, across[::-1], strict=True):
+            exchanged = gpu_kernels.exchange(across_cell, lanes - 1)
+            cells.append(jnp.where(columns, exchanged, own_cell))
+        flipped[slot] = tuple(cells)
 
     # A thread's rows go on by twice its number, bit by bit.
     for distance in _distances(lanes):
-        moves = (lane & distance) != 0
+        move = partial(jnp.where, (lane & distance) != 0)
         before = [*flipped]
         for slot in sorted(range(side), key=lambda slot: (slot % (2 * distance), -slot)):
-            flipped[slot] = tuple(map(partial(jnp.where, moves), before[slot - 2 * distance], before[slot]))
+            moved = before[slot - 2 * distance]
+            flipped[slot] = tuple(map(move, moved, before[slot]))
     return flipped

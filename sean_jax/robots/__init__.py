@@ -114,7 +114,9 @@ def _check_alike(first: RobotModel, second: RobotModel) -> None:
 
 def _with_limit(model: RobotModel, name: str, default: str) -> RobotModel:
     """The robot with a limit, which is another limit if it has none."""
-    return model if getattr(model, name) is not None else replace(model, **{name: getattr(model, default)})
+    if getattr(model, name) is not None:
+        return model
+    return replace(model, **{name: getattr(model, default)})
 
 
 def _shared_mounts(models: Sequence[RobotModel]) -> list[tuple[Mount, ...]]:

@@ -25,11 +25,15 @@ def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float
         targets: rad/s of the rear wheels, and the steering angle [rad].
     """
     position, velocity = motion
-    target_rate, target_angle = targets[0], targets[1]
-    torque = jnp.clip(model.servo_gain * (target_rate - velocity[3]), -model.servo_torque, model.servo_torque)
-    free = velocity[:4].at[3].add(model.time_step * torque / model.wheel_inertia)
-    angle, rate = _steer(model, position[4], target_angle)
-    velocity = free + ground_impulse(model, touch, position, angle, free) / diagonal(model)
+    torque = model.servo_gain * (targets[0] - velocity[3])
+    torque = jnp.clip(torque, -model.servo_torque, model.servo_torque)
+    change = model.time_step * torque / model.wheel_inertia
+    free = velocity[:4].at[3].add(change)
+    angle, rate = _steer(model, position[4], targets[1])
+
+    # The ground and the contacts act on the velocity that the servo alone would give.
+    impulse = ground_impulse(model, touch, position, angle, free)
+    velocity = free + impulse / diagonal(model)
     position = position[:4] + model.time_step * velocity
     return jnp.append(position, angle), jnp.append(velocity, rate)
 
@@ -41,7 +45,8 @@ def mjx_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[
     ground = functools.partial(ground_impulse, model, touch, position, angle)
     servo = model.servo_gain, model.servo_torque
     joints = position[:4], velocity[:4]
-    position, velocity = mjx_advance(model, diagonal(model), servo, joints, targets[:1], ground)
+    inertia = diagonal(model)
+    position, velocity = mjx_advance(model, inertia, servo, joints, targets[:1], ground)
     return jnp.append(position, angle), jnp.append(velocity, rate)
 
 
@@ -49,7 +54,8 @@ def _steer(model: RobotModel, angle: Array, target: Array) -> tuple[Array, Array
     """Steering angle [rad] and its rate [rad/s] after one physics step."""
     max_rate = steering(model).max_rate
     rate = jnp.clip((target - angle) / model.time_step, -max_rate, max_rate)
-    return angle + model.time_step * rate, rate
+    angle = angle + model.time_step * rate
+    return angle, rate
 
 
 def ground_impulse(
@@ -68,25 +74,40 @@ def ground_impulse(
         angle: rad, of the steering.
         free: rates at the end of the physics step, if there were no impulse.
     """
-    car, mass = steering(model), model.mass
-    to_rear, to_front = car.rear_axle, car.wheelbase - car.rear_axle  # m, from the middle
-    yaw = position[2] + 0.5 * model.time_step * free[2]  # halfway through the step
-    cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
-    slip = _slip(model, angle, rotate(free[0], free[1], cosine, -sine), free)
+    car = steering(model)
+    mass = model.mass
+    to_rear = car.rear_axle  # m, from the middle
+    to_front = car.wheelbase - car.rear_axle
+
+    # The tyres slip in the frame of the car, halfway through the step.
+    yaw = position[2] + 0.5 * model.time_step * free[2]
+    cosine = jnp.cos(yaw)
+    sine = jnp.sin(yaw)
+    velocity = rotate(free[0], free[1], cosine, -sine)
+    slip = _slip(model, angle, velocity, free)
     drive, hold, steer = _impulses_against(model, angle, slip)
 
     # The axles share the weight, and each has its friction circle.
     grip = model.friction * mass * GRAVITY * model.time_step / car.wheelbase  # N s a metre
     drive, hold = clip_length(drive, hold, grip * to_front)
-    steer = jnp.clip(steer, -grip * to_rear, grip * to_rear)
+    max_steer = grip * to_rear
+    steer = jnp.clip(steer, -max_steer, max_steer)
 
     # Contacts act after the tyres.
-    wheel_cosine, wheel_sine = jnp.cos(angle), jnp.sin(angle)
-    jx, jy = rotate(drive - wheel_sine * steer, hold + wheel_cosine * steer, cosine, sine)
-    vx, vy = free[0] + jx / mass, free[1] + jy / mass
-    x, y = touch(position, vx, vy)
+    wheel_cosine = jnp.cos(angle)
+    wheel_sine = jnp.sin(angle)
+    ahead = drive - wheel_sine * steer
+    left = hold + wheel_cosine * steer
+    jx, jy = rotate(ahead, left, cosine, sine)
+    vx = free[0] + jx / mass
+    vy = free[1] + jy / mass
+    touched_vx, touched_vy = touch(position, vx, vy)
+
     turn = to_front * wheel_cosine * steer - to_rear * hold
-    return jnp.stack([jx + mass * (x - vx), jy + mass * (y - vy), turn, -model.wheel_radius * drive])
+    jx = jx + mass * (touched_vx - vx)
+    jy = jy + mass * (touched_vy - vy)
+    wheel = -model.wheel_radius * drive
+    return jnp.stack([jx, jy, turn, wheel])
 
 
 class Slip(NamedTuple):
@@ -102,10 +123,12 @@ def _slip(model: RobotModel, angle: Array, velocity: tuple[Array, Array], free: 
     car = steering(model)
     ahead, left = velocity
     to_front = car.wheelbase - car.rear_axle
-    front_left = left + to_front * free[2]
+    turn_rate = free[2]
+    wheel_rate = free[3]
+    front_left = left + to_front * turn_rate
     return Slip(
-        rear_ahead=ahead - model.wheel_radius * free[3],
-        rear_aside=left - car.rear_axle * free[2],
+        rear_ahead=ahead - model.wheel_radius * wheel_rate,
+        rear_aside=left - car.rear_axle * turn_rate,
         front_across=jnp.cos(angle) * front_left - jnp.sin(angle) * ahead,
     )
 
@@ -115,21 +138,29 @@ def _impulses_against(model: RobotModel, angle: Array, slip: Slip) -> tuple[Arra
 
     They solve a symmetric 3x3 system, whose first two unknowns do not act on each other's slip.
     """
-    car, mass = steering(model), model.mass
-    to_rear, to_front = car.rear_axle, car.wheelbase - car.rear_axle
-    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    car = steering(model)
+    mass = model.mass
+    to_rear = car.rear_axle
+    to_front = car.wheelbase - car.rear_axle
+    cosine = jnp.cos(angle)
+    sine = jnp.sin(angle)
 
     # The slip that a unit of each impulse removes: its own, and that of the other tyre.
     ahead = 1.0 / mass + model.wheel_radius * model.wheel_radius / model.wheel_inertia
     aside = 1.0 / mass + to_rear * to_rear / model.inertia
-    across = sine * sine / mass + cosine * cosine * (1.0 / mass + to_front * to_front / model.inertia)
+    front_aside = 1.0 / mass + to_front * to_front / model.inertia
+    across = sine * sine / mass + cosine * cosine * front_aside
     ahead_across = -sine / mass
     aside_across = cosine * (1.0 / mass - to_rear * to_front / model.inertia)
 
     # The first two are eliminated.
-    pivot = across - ahead_across * ahead_across / ahead - aside_across * aside_across / aside
-    remaining = -slip.front_across + ahead_across * slip.rear_ahead / ahead + aside_across * slip.rear_aside / aside
+    pivot = across - ahead_across * ahead_across / ahead
+    pivot = pivot - aside_across * aside_across / aside
+    remaining = -slip.front_across + ahead_across * slip.rear_ahead / ahead
+    remaining = remaining + aside_across * slip.rear_aside / aside
     steer = remaining / pivot
+
+    # They follow from the third.
     drive = (-slip.rear_ahead - ahead_across * steer) / ahead
     hold = (-slip.rear_aside - aside_across * steer) / aside
     return drive, hold, steer
@@ -160,13 +191,17 @@ def steering_angle(
     max_tangent = jnp.tan(car.max_angle)
     rise = car.wheelbase * turn_rate  # the tangent is rise / speed
     within = jnp.abs(rise) < max_tangent * jnp.abs(speed)
-    side = jnp.where(speed < 0.0, -1.0, 1.0) * jnp.sign(rise)
-    tangent = jnp.where(within, rise / jnp.where(within, speed, 1.0), side * max_tangent)
-    return jnp.where((speed == 0.0) & (turn_rate == 0.0), hold, jnp.arctan(tangent))
+    divisor = jnp.where(within, speed, 1.0)
+    direction = jnp.where(speed < 0.0, -1.0, 1.0)
+    side = direction * jnp.sign(rise)
+    tangent = jnp.where(within, rise / divisor, side * max_tangent)
+    stands = (speed == 0.0) & (turn_rate == 0.0)
+    return jnp.where(stands, hold, jnp.arctan(tangent))
 
 
 def turn_rate_of(
     model: RobotModel, speed: Float[Array, "*shape"], angle: Float[Array, "*shape"]
 ) -> Float[Array, "*shape"]:
     """The turn rate [rad/s] at a speed [m/s] and a steering angle [rad]: the bicycle law."""
-    return speed * jnp.tan(angle) / steering(model).wheelbase
+    car = steering(model)
+    return speed * jnp.tan(angle) / car.wheelbase

@@ -160,7 +160,8 @@ def _check_build(path: Path, model: Any, data: Any, numerics: dict[str, float], 
 
 def _car_turn_limits(numbers: dict[str, float]) -> dict[str, float]:
     """The greatest turn rate and its change: at the top speed, by the steering."""
-    top_speed, wheelbase = numbers["max_speed"], numbers["wheelbase"]
+    top_speed = numbers["max_speed"]
+    wheelbase = numbers["wheelbase"]
     curvature = np.tan(numbers["max_steering_angle"]) / wheelbase
     curvature_rate = numbers["max_steering_rate"] / wheelbase
     return {"max_turn_rate": top_speed * curvature, "max_turn_acceleration": top_speed * curvature_rate}
@@ -170,7 +171,8 @@ def _drive(path: Path, model: Any) -> str:
     """The type of the drive, by the text ``drive`` of the file."""
     texts = {}
     for index in range(model.ntext):
-        begin, size = model.text_adr[index], model.text_size[index]
+        begin = model.text_adr[index]
+        size = model.text_size[index]
         text = bytes(model.text_data[begin : begin + size]).rstrip(b"\0").decode()
         texts[mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, index)] = text
     drive = texts.get("drive", "differential")
@@ -199,18 +201,21 @@ def _lateral(model: Any, numbers: dict[str, float]) -> Lateral:
     """The numbers of sideways motion, which leave ``numbers``."""
     speed = numbers.pop("max_lateral_speed")
     acceleration = numbers.pop("max_lateral_acceleration")
-    turn_gain, turn_torque = model.actuator_gainprm[2, 0], model.actuator_forcerange[2, 1]
+    turn_gain = model.actuator_gainprm[2, 0]
+    turn_torque = model.actuator_forcerange[2, 1]
     return Lateral(*map(_array, (speed, acceleration, turn_gain, turn_torque)))
 
 
 def _steering(path: Path, model: Any, data: Any, numbers: dict[str, float]) -> Steering:
-    rear, wheelbase = -to_base(model, data, data.xanchor[3])[0], numbers["wheelbase"]
+    rear = -to_base(model, data, data.xanchor[3])[0]
+    wheelbase = numbers["wheelbase"]
     if not 0.0 <= rear < wheelbase:
         raise FileError(
             f"{path}: its rear wheels lie {rear:g} m behind the base's hinge, but must be from 0 to less than the "
             f"wheelbase of {wheelbase:g} m."
         )
-    max_angle, max_rate = numbers["max_steering_angle"], numbers["max_steering_rate"]
+    max_angle = numbers["max_steering_angle"]
+    max_rate = numbers["max_steering_rate"]
     return Steering(*map(_array, (wheelbase, rear, max_angle, max_rate)))
 
 
@@ -285,7 +290,9 @@ def _numerics(path: Path, model: Any, build: Build) -> dict[str, float]:
 def _missing(numerics: dict[str, float], build: Build) -> list[str]:
     """A clause that names all missing numbers, if there are any."""
     missing = [f'<numeric name="{key}" data="..."/>' for key in build.numerics if key not in numerics]
-    return [f"<custom> lacks {' and '.join(missing)}, which every robot needs"] if missing else []
+    if missing:
+        return [f"<custom> lacks {' and '.join(missing)}, which every robot needs"]
+    return []
 
 
 def _check_range(path: Path, what: str, value: float, low: float, high: float, unit: str) -> None:
@@ -295,7 +302,8 @@ def _check_range(path: Path, what: str, value: float, low: float, high: float, u
 
 def _mass_matrix(path: Path, model: Any) -> np.ndarray:
     """The diagonal of the mass matrix, which must be diagonal and independent of the pose."""
-    data, size = mujoco.MjData(model), model.nv
+    data = mujoco.MjData(model)
+    size = model.nv
     matrices = []
     for position in (np.zeros(size), np.array([1.0, -2.0, 0.7, 1.9, -0.4])[:size]):
         data.qpos[:] = position
@@ -445,12 +453,15 @@ def _wheels(model: Any) -> Iterator[str]:
     for wheel, geom in zip(_wheel_names(model), geoms, strict=True):
         if geom is None:
             yield f"its {wheel} has no geom, whose size is the wheel's radius"
-        elif model.geom_type[geom] not in map(int, round_kinds):
-            kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
-            yield f"the first geom of its {wheel} is a {kind} and not a cylinder or a sphere"
-    if len(geoms) == 2 and None not in geoms and not np.isclose(*model.geom_size[geoms, 0]):
+            continue
+        kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+        if kind not in round_kinds:
+            name = kind.name.removeprefix("mjGEOM_").lower()
+            yield f"the first geom of its {wheel} is a {name} and not a cylinder or a sphere"
+    if len(geoms) == 2 and None not in geoms:
         left, right = model.geom_size[geoms, 0]
-        yield f"the radii of its wheels are {left:g} m and {right:g} m, not the same"
+        if not np.isclose(left, right):
+            yield f"the radii of its wheels are {left:g} m and {right:g} m, not the same"
 
 
 def _places(model: Any, data: Any, radius: float) -> Iterator[str]:
@@ -522,8 +533,12 @@ def base_rotation(model: Any, data: Any) -> np.ndarray:
 
 def _pivot(model: Any) -> int:
     """The joint that turns the base about the vertical: a freejoint, or the third in the plane."""
-    return 0 if model.jnt_type[0] == int(mujoco.mjtJoint.mjJNT_FREE) else 2
+    if model.jnt_type[0] == int(mujoco.mjtJoint.mjJNT_FREE):
+        return 0
+    return 2
 
 
 def _label(joint: Any, index: int) -> str:
-    return f"'{joint.name}'" if joint.name else f"number {index + 1}"
+    if joint.name:
+        return f"'{joint.name}'"
+    return f"number {index + 1}"

@@ -86,7 +86,8 @@ def command_size(model: RobotModel) -> int:
 def require(model: RobotModel, drives: tuple[str, ...], what: str) -> None:
     """InputError unless the robot has one of these drives; ``what`` begins the sentence, as "orca steers"."""
     if model.drive_type not in drives:
-        kinds, kind = " and ".join(drives), model.drive_type
+        kinds = " and ".join(drives)
+        kind = model.drive_type
         raise InputError(f"{what} {kinds} robots, but the drive of {model.name} is {kind}; choose another of the two.")
 
 
@@ -193,13 +194,16 @@ def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "comm
 
     Source: SEAN 2.0, Control/VelocityController.cs; the limits are from its ROS controllers.
     """
-    model, robot, step = scenario.robot, state.robot, scenario.time_step
+    model = scenario.robot
+    robot = state.robot
+    step = scenario.time_step
     law = LAWS[model.drive_type]
     command, age = active_command(model, robot.drive_state, action, step)
     speeds = law.limit(model, law.speeds(model, robot), _numbers(law, command), step)
     speed, sideways, turn_rate = law.velocity(model, speeds)
     heading = _direction(robot.heading)
-    steps, surroundings = physics_steps(model, step), surroundings_of(scenario, state)
+    steps = physics_steps(model, step)
+    surroundings = surroundings_of(scenario, state)
     way = kinematic_move(steps, model, surroundings, robot.position, heading, speed, turn_rate, sideways)
 
     # A differential drive moves to the left only if it is pushed.
@@ -225,14 +229,12 @@ def active_command(
     It is the action if that is finite, else the last command, or after ``model.command_timeout`` a stop.
     """
     size = command_size(model)
-    if jnp.shape(action) != (size,):
+    shape = jnp.shape(action)
+    if shape != (size,):
         if size == 2:
-            raise InputError(
-                f"action: its shape is {jnp.shape(action)}; {model.name} takes ({size},), speed and turn rate."
-            )
+            raise InputError(f"action: its shape is {shape}; {model.name} takes ({size},), speed and turn rate.")
         raise InputError(
-            f"action: its shape is {jnp.shape(action)}; {model.name} takes ({size},), speed, speed to the left and "
-            "turn rate."
+            f"action: its shape is {shape}; {model.name} takes ({size},), speed, speed to the left and turn rate."
         )
     is_finite = jnp.isfinite(action).all()
     age = jnp.where(is_finite, 0, drive_state.age + 1)
@@ -243,7 +245,8 @@ def active_command(
 
 
 def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -> Robot:
-    model, robot = scenario.robot, state.robot
+    model = scenario.robot
+    robot = state.robot
     law = LAWS[model.drive_type]
     command, age = active_command(model, robot.drive_state, action, scenario.time_step)
     speeds = law.limit(model, law.speeds(model, robot), _numbers(law, command), scenario.time_step)

@@ -101,8 +101,9 @@ def _tyres(model: RobotModel | RobotBody, cosine: Array, sine: Array, velocity: 
     """
     half_track = 0.5 * model.track
     ahead, aside = rotate(velocity[0], velocity[1], cosine, -sine)
-    slip_left = ahead - half_track * velocity[2] - model.wheel_radius * velocity[3]
-    slip_right = ahead + half_track * velocity[2] - model.wheel_radius * velocity[4]
+    turning = half_track * velocity[2]  # m/s, of the wheels while the robot turns
+    slip_left = ahead - turning - model.wheel_radius * velocity[3]
+    slip_right = ahead + turning - model.wheel_radius * velocity[4]
 
     # The slip that a unit of a wheel's impulse removes: its own, and that of the other wheel.
     linear = 1.0 / model.mass
@@ -147,7 +148,8 @@ def touching(
         time_left: s, from the start of this physics step to the end of the control step.
         position: its first two are x and y [m].
     """
-    x, y = position[0], position[1]
+    x = position[0]
+    y = position[1]
     people = *surroundings.position.T, *surroundings.velocity.T, surroundings.present
     if surroundings.present.shape[0]:
         person = functools.partial(person_contact, model, surroundings.person_radius, time_left)
@@ -342,7 +344,8 @@ def kinematic_move(
         angle = (index + 0.5) * turn
         cosine, sine = rotate(heading[0], heading[1], jnp.cos(angle), jnp.sin(angle))
         if sideways is None:
-            vx, vy = chord * cosine, chord * sine
+            vx = chord * cosine
+            vy = chord * sine
         else:
             vx, vy = rotate(chord, sideways * share, cosine, sine)
 

@@ -61,8 +61,10 @@ class ForeignBody:
 
 def enclosing(points: np.ndarray, place: np.ndarray, turn: np.ndarray, color: tuple[float, ...] = GRAY) -> LinkShape:
     """The smallest of a box, three cylinders and a sphere that contain points (n, 3), along the axes of their frame."""
-    low, high = points.min(0), points.max(0)
-    middle, half = (low + high) / 2, np.maximum((high - low) / 2, THIN)
+    low = points.min(0)
+    high = points.max(0)
+    middle = (low + high) / 2
+    half = np.maximum((high - low) / 2, THIN)
     offsets = points - middle
 
     def radius_of(offsets: np.ndarray) -> float:
@@ -120,7 +122,8 @@ def from_mjcf(path: Path) -> ForeignBody:
         raise file_error(path, f"body '{name}' is tilted; give it a pose in which the robot stands upright")
 
     # MuJoCo numbers parents before children, so one pass finds all that hangs on the root.
-    index, links = {root: 0}, []
+    index = {root: 0}
+    links = []
     for body in range(root, model.nbody):
         parent = int(model.body_parentid[body])
         if body != root and parent not in index:
@@ -129,14 +132,17 @@ def from_mjcf(path: Path) -> ForeignBody:
         links.append(_link(pose, body, -1 if body == root else index[parent]))
 
     # Cameras and sites of other bodies belong to the scene, not to the robot.
-    cameras, frames = [], []
+    cameras = []
+    frames = []
     for camera in range(model.ncam):
         if int(model.cam_bodyid[camera]) in index:
-            place, axes = pose.place(data.cam_xpos[camera]), pose.turn(data.cam_xmat[camera])
+            place = pose.place(data.cam_xpos[camera])
+            axes = pose.turn(data.cam_xmat[camera])
             cameras.append((model.camera(camera).name, place, axes))
     for site in range(model.nsite):
         if int(model.site_bodyid[site]) in index:
-            place, axes = pose.place(data.site_xpos[site]), pose.turn(data.site_xmat[site])
+            place = pose.place(data.site_xpos[site])
+            axes = pose.turn(data.site_xmat[site])
             frames.append((model.site(site).name, place, axes))
 
     # Links are frames, too: files that were made from URDF mark their sensors by links.
@@ -172,7 +178,8 @@ def _is_base(model: Any, body: int) -> bool:
 
 
 def _link(pose: RestPose, body: int, parent: int) -> Link:
-    model, data = pose.model, pose.data
+    model = pose.model
+    data = pose.data
     inertia_axes = pose.turn(data.ximat[body])
     link = Link(
         name=model.body(body).name,
@@ -202,7 +209,8 @@ def _link(pose: RestPose, body: int, parent: int) -> Link:
 
 def _add_joint(pose: RestPose, body: int, link: Link) -> None:
     """The joint of a link, and its limits; several joints of one body are of no kind."""
-    model, data = pose.model, pose.data
+    model = pose.model
+    data = pose.data
     kinds = {int(mujoco.mjtJoint.mjJNT_HINGE): "hinge", int(mujoco.mjtJoint.mjJNT_SLIDE): "slide"}
     joint = int(model.body_jntadr[body])
     link.joint = model.joint(joint).name
@@ -216,8 +224,10 @@ def _shape(pose: RestPose, geom: int) -> LinkShape | None:
     """The shape of a geom; None for planes and height fields."""
     model = pose.model
     kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
-    place, turn = pose.place(pose.data.geom_xpos[geom]), pose.turn(pose.data.geom_xmat[geom])
-    size, material = model.geom_size[geom], model.geom_matid[geom]
+    place = pose.place(pose.data.geom_xpos[geom])
+    turn = pose.turn(pose.data.geom_xmat[geom])
+    size = model.geom_size[geom]
+    material = model.geom_matid[geom]
     rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
     color = tuple(rgba[:3].tolist())
     if kind == "mesh":
@@ -243,7 +253,8 @@ def _add_limits(model: Any, joint: int, link: Link) -> None:
     actuators = np.flatnonzero(drives_joints & (model.actuator_trnid[:, 0] == joint)).tolist()
     link.driven = bool(actuators) if model.nu else None
     for actuator in actuators:
-        gain, bias = float(model.actuator_gainprm[actuator, 0]), model.actuator_biasprm[actuator]
+        gain = float(model.actuator_gainprm[actuator, 0])
+        bias = model.actuator_biasprm[actuator]
         gear = abs(float(model.actuator_gear[actuator, 0])) or 1.0
         max_control = None
         if model.actuator_ctrllimited[actuator]:

@@ -114,7 +114,9 @@ def _read(file: Path) -> ForeignBody:
     """The links of a file, by its root element."""
     text = read_text(file, MAX_MESH)
     is_mjcf = re.search(r"<mujoco[\s>]", text) and "<robot" not in text
-    return foreign_links.from_mjcf(file) if is_mjcf else urdf_reading.read_urdf(file)
+    if is_mjcf:
+        return foreign_links.from_mjcf(file)
+    return urdf_reading.read_urdf(file)
 
 
 def drive_briefly(path: Path, drive: str) -> tuple[float, float]:
@@ -131,7 +133,8 @@ def _end_of_drive(path: Path, drive: str, dynamics: str) -> np.ndarray:
     """(2,) m, where the drive of ``drive_briefly`` ends."""
     model = robots.load(path, dynamics)
     dtype = jnp.result_type(float)
-    no_vectors, no_numbers = jnp.zeros((0, 2), dtype), jnp.zeros(0, dtype)
+    no_vectors = jnp.zeros((0, 2), dtype)
+    no_numbers = jnp.zeros(0, dtype)
 
     # A drive reads only these fields of a scenario and a state.
     nobody = SimpleNamespace(position=no_vectors, velocity=no_vectors, present=jnp.zeros(0, bool))
@@ -151,10 +154,12 @@ def _end_of_drive(path: Path, drive: str, dynamics: str) -> np.ndarray:
     def run(start: Any, commands: Any) -> Any:
         return jax.lax.scan(advance, start, commands)[0]
 
-    speed, turn_rate = 0.5 * model.max_speed, 0.25 * model.max_turn_rate
+    speed = 0.5 * model.max_speed
+    turn_rate = 0.25 * model.max_turn_rate
     zero = jnp.zeros_like(speed)
     left = [zero] if drive == "omnidirectional" else []  # of a command ahead, to the left, turn rate
-    straight, curve = jnp.stack([speed, *left, zero]), jnp.stack([speed, *left, turn_rate])
+    straight = jnp.stack([speed, *left, zero])
+    curve = jnp.stack([speed, *left, turn_rate])
     start = model.place(model, jnp.zeros(2, dtype), jnp.asarray([1.0, 0.0], dtype))
     end = run(start, jnp.stack([straight] * 15 + [curve] * 15))
     return np.asarray(end.position, float)
@@ -207,14 +212,18 @@ def _wheel(body: ForeignBody, index: int) -> Wheel | None:
                 return None
     wheel = _as_wheel(body, index)
     is_named_wheel = "wheel" in (link.name + link.joint).lower()
-    return wheel if is_named_wheel or wheel.radius is not None else None
+    if is_named_wheel or wheel.radius is not None:
+        return wheel
+    return None
 
 
 def _as_wheel(body: ForeignBody, index: int) -> Wheel:
     link = body.links[index]
 
     # The largest round shape about the hinge is the wheel.
-    radius, width, middle = None, 0.02, link.place
+    radius = None
+    width = 0.02
+    middle = link.place
     for shape in _rigid_shapes(body, index):
         size = _round(shape, link)
         if size is not None and (radius is None or size[0] > radius):
@@ -262,13 +271,16 @@ def _round(shape: LinkShape, link: Link) -> tuple[float, float] | None:
     elif shape.kind == "box":
         axis = int(np.argmax(np.abs(shape.turn.T @ link.axis)))
         across = np.delete(shape.size, axis)
-        radius, width = float(across.max()), float(shape.size[axis])
+        radius = float(across.max())
+        width = float(shape.size[axis])
         is_square = across.min() >= (1.0 - ROUND_SHARE) * radius
         if not is_square or abs(shape.turn[:, axis] @ link.axis) < PARALLEL:
             return None
     else:
         return None
-    return (radius, width) if from_axis <= ROUND_SHARE * radius else None
+    if from_axis <= ROUND_SHARE * radius:
+        return (radius, width)
+    return None
 
 
 def drive_of(file: Path, body: ForeignBody, wheels: list[Wheel], settings: ImportSettings) -> str:
@@ -307,7 +319,9 @@ class _Base:
     """The planar base of a robot: its shapes, numbers and file."""
 
     def __init__(self, file: Path, body: ForeignBody, settings: ImportSettings):
-        self.file, self.body, self.settings = file, body, settings
+        self.file = file
+        self.body = body
+        self.settings = settings
         self.wheels = find_wheels(file, body, settings)
         self.drive = drive_of(file, body, self.wheels, settings)
         self.numbers: list[tuple[str, str, str]] = []
@@ -356,7 +370,9 @@ class _Base:
             middle = np.mean([wheel.place for wheel in self.fixed or self.wheels], 0)
             return middle - [0.0, 0.0, self.wheel_radius or 0.0]
         bottoms = [outline(shape)[:, 2].min() for link in self.body.links for shape in link.shapes]
-        return np.array([0.0, 0.0, min(bottoms)]) if bottoms else np.zeros(3)
+        if bottoms:
+            return np.array([0.0, 0.0, min(bottoms)])
+        return np.zeros(3)
 
     def _transform(self, turn: np.ndarray, origin: np.ndarray) -> None:
         """Move links, wheels and mounts to a frame with an origin [m], turned by a rotation (3, 3)."""
@@ -425,7 +441,8 @@ class _Base:
         rigid_links = (0, *(wheel.link for wheel in self.wheels))
         rigid_shapes = [shape for link in rigid_links for shape in _rigid_shapes(self.body, link)]
         points = _outlines(rigid_shapes) if rigid_shapes else all_points
-        farthest, reach = _distance(all_points), _distance(points)
+        farthest = _distance(all_points)
+        reach = _distance(points)
         if farthest > reach + 0.01 and self.settings.radius is None:
             self.notes.append(f"links that move reach {farthest:.3g} m from the origin, beyond the radius")
         self.top = float(points[:, 2].max()) if len(points) else 0.3
@@ -436,7 +453,8 @@ class _Base:
         """kg m2 about the vertical: of the links, scaled to the mass; of a disc if they have none."""
         inertia = 0.0
         for link in self.body.links:
-            inertia += link.inertia[2, 2] + link.mass * float(link.center[:2] @ link.center[:2])
+            offset = link.center[:2]
+            inertia += link.inertia[2, 2] + link.mass * float(offset @ offset)
         scale = self.mass / links_mass if links_mass else 0.0
         return inertia * scale or 0.5 * self.mass * self.radius**2
 
@@ -493,7 +511,9 @@ class _Base:
         """m, from the origin to the wheels that turn the robot; 0 without wheels."""
         if self.drive != "differential":
             distances = [np.hypot(*wheel.place[:2]) for wheel in self.wheels]
-            return float(np.mean(distances)) if distances else 0.0
+            if distances:
+                return float(np.mean(distances))
+            return 0.0
         left, right = (np.mean([wheel.place[1] for wheel in self._on_side(sign)]) for sign in (1, -1))
         self.track = self.settings.wheel_separation or float(left - right)
         source = "--wheel-separation" if self.settings.wheel_separation else "joints"
@@ -617,7 +637,8 @@ class _Base:
 
     def _rear(self) -> tuple[list[str], list[str]]:
         """The rear axle of a car."""
-        mass, radius = self._wheel_mass(self.fixed), self.wheel_radius or 0.0
+        mass = self._wheel_mass(self.fixed)
+        radius = self.wheel_radius or 0.0
         behind = max(0.0, -float(np.mean([wheel.place[0] for wheel in self.fixed])))
         spin = 0.5 * mass * radius**2
         servo = self._servo(spin + self.armature, 1.0)
@@ -656,7 +677,8 @@ class _Base:
         lines = []
         for shape in self.shapes:
             color = _row([*shape.color, 1.0])
-            size, place = _row(shape.size), _row(shape.place)
+            size = _row(shape.size)
+            place = _row(shape.place)
             turn = "" if shape.kind == "sphere" else f' zaxis="{_row(shape.turn[:, 2])}"'
             if shape.kind == "box":
                 turn = f' euler="0 0 {np.arctan2(shape.turn[1, 0], shape.turn[0, 0]):.6g}"'
@@ -696,7 +718,8 @@ class _Base:
             cameras = [_ForeignCamera(name, place, *_view(name, axes)) for name, place, axes in frames]
         if not cameras:
             place = np.array([self.front, 0.0, 0.9 * self.top])
-            right, up = np.array([0.0, -1.0, 0.0]), np.array([-0.0872, 0.0, 0.9962])
+            right = np.array([0.0, -1.0, 0.0])
+            up = np.array([-0.0872, 0.0, 0.9962])
             return _ForeignCamera("none in the file: in front", place, right, up)
         return min(cameras, key=lambda camera: (not camera.looks_ahead, "optical" in camera.name))
 
@@ -724,7 +747,9 @@ def _outlines(shapes: list[LinkShape]) -> np.ndarray:
 
 def _distance(points: np.ndarray) -> float:
     """The horizontal distance [m] of the farthest point from the origin; 0 without points."""
-    return float(np.hypot(points[:, 0], points[:, 1]).max()) if len(points) else 0.0
+    if len(points):
+        return float(np.hypot(points[:, 0], points[:, 1]).max())
+    return 0.0
 
 
 def outline(shape: LinkShape) -> np.ndarray:
@@ -748,14 +773,19 @@ def upright(shape: LinkShape) -> LinkShape:
         return shape
     level = np.argmax(np.hypot(shape.turn[0], shape.turn[1]))  # the axis that is most horizontal
     yaw = np.arctan2(shape.turn[1, level], shape.turn[0, level])
-    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
+    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     half = np.abs(turn.T @ shape.turn) @ shape.size
     return LinkShape("box", np.maximum(half, foreign_links.THIN), shape.place, turn, shape.color)
 
 
 def _view(name: str, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The directions right and up of a camera in a frame of ROS: ahead is x, or z of an optical frame."""
-    return (axes[:, 0], -axes[:, 1]) if "optical" in name else (-axes[:, 1], axes[:, 2])
+    x, y, z = axes.T
+    if "optical" in name:
+        return x, -y
+    return -y, z
 
 
 def _listed(names: list[str]) -> str:

@@ -27,7 +27,10 @@ from sean_jax.robots.dynamics import (
 )
 
 LANES = 8  # a power of two, 32 at most
-COORDINATES, WHEELS, BODY, BOX = 5, 2, 5, 6  # numbers of a motion, of targets, of a person and of an obstacle
+COORDINATES = 5  # numbers of a position, and as many of a velocity
+WHEELS = 2  # numbers of targets
+BODY = 5  # numbers of a person
+BOX = 6  # numbers of an obstacle
 
 
 class RobotKernelShape(NamedTuple):
@@ -52,7 +55,8 @@ def simulate(steps: int, model: RobotModel, surroundings: Surroundings, motion: 
     numbers = jnp.stack([surroundings.person_radius, *_body(model)])
 
     # Operands have at least one row, of which nothing is read without people or obstacles.
-    people, obstacles = numbers, numbers
+    people = numbers
+    obstacles = numbers
     if shape.people:
         people = jnp.stack([*surroundings.position.T, *surroundings.velocity.T, present])
     if shape.obstacles:
@@ -107,7 +111,8 @@ def _kernel(shape: RobotKernelShape, lanes: int, number: Any, *references: Any) 
     def step(index: Any, motion: tuple) -> tuple:
         time_left = model.time_step * (shape.steps - index).astype(person_radius.dtype)
         touch = partial(_touch, thread, time_left)
-        position, velocity = motion[:COORDINATES], motion[COORDINATES:]
+        position = motion[:COORDINATES]
+        velocity = motion[COORDINATES:]
         position, velocity = twin_step(model, touch, position, velocity, targets, gpu_kernels.scalars)
         return *position, *velocity
 

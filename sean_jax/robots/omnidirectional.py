@@ -27,23 +27,32 @@ def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float
     position, velocity = motion
     gain, max_force = _servo(model)
     mass = diagonal(model)
-    cosine, sine = jnp.cos(position[2]), jnp.sin(position[2])
+    yaw = position[2]
+    cosine = jnp.cos(yaw)
+    sine = jnp.sin(yaw)
 
     # Servos push in the robot's frame.
     ahead, left = rotate(velocity[0], velocity[1], cosine, -sine)
     rates = jnp.stack([ahead, left, velocity[2]])
-    push = jnp.clip(gain * (targets - rates), -max_force, max_force)
+    push = gain * (targets - rates)
+    push = jnp.clip(push, -max_force, max_force)
     push_x, push_y = rotate(push[0], push[1], cosine, sine)
     push = jnp.stack([push_x, push_y, push[2]])
+
+    # The ground and the contacts act on the velocity that the servos alone would give.
     free = velocity + model.time_step * push / mass
-    velocity = free + ground_impulse(model, touch, motion, free) / mass
-    return position + model.time_step * velocity, velocity
+    impulse = ground_impulse(model, touch, motion, free)
+    velocity = free + impulse / mass
+    position = position + model.time_step * velocity
+    return position, velocity
 
 
 def mjx_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "3"]) -> Motion:
     """One physics step by MJX; arguments as of ``twin_substep``."""
     ground = functools.partial(ground_impulse, model, touch, motion)
-    return mjx_advance(model, diagonal(model), _servo(model), motion, targets, ground)
+    inertia = diagonal(model)
+    servo = _servo(model)
+    return mjx_advance(model, inertia, servo, motion, targets, ground)
 
 
 def ground_impulse(model: RobotModel, touch: Touch, motion: Motion, free: Float[Array, "3"]) -> Float[Array, "3"]:
@@ -54,12 +63,24 @@ def ground_impulse(model: RobotModel, touch: Touch, motion: Motion, free: Float[
     """
     position, velocity = motion
     # From the middle of the last step to that of this one the body turns its velocity along.
-    turned = 0.5 * model.time_step * (velocity[2] + free[2])
-    x, y = rotate(free[0], free[1], jnp.cos(turned), jnp.sin(turned))
+    turn_rates = velocity[2] + free[2]
+    turned = 0.5 * model.time_step * turn_rates
+    cosine = jnp.cos(turned)
+    sine = jnp.sin(turned)
+    free_vx = free[0]
+    free_vy = free[1]
+    vx, vy = rotate(free_vx, free_vy, cosine, sine)
+
+    # Friction limits the change of the velocity; contacts act after it.
     limit = model.friction * GRAVITY * model.time_step
-    dx, dy = clip_length(x - velocity[0], y - velocity[1], limit)
-    x, y = touch(position, velocity[0] + dx, velocity[1] + dy)
-    return jnp.stack([model.mass * (x - free[0]), model.mass * (y - free[1]), jnp.zeros_like(x)])
+    old_vx = velocity[0]
+    old_vy = velocity[1]
+    dx, dy = clip_length(vx - old_vx, vy - old_vy, limit)
+    vx, vy = touch(position, old_vx + dx, old_vy + dy)
+    impulse_x = model.mass * (vx - free_vx)
+    impulse_y = model.mass * (vy - free_vy)
+    no_turn = jnp.zeros_like(vx)
+    return jnp.stack([impulse_x, impulse_y, no_turn])
 
 
 def diagonal(model: RobotModel) -> Float[Array, "3"]:
@@ -72,4 +93,5 @@ def _servo(model: RobotModel) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     lateral = model.lateral
     assert isinstance(lateral, Lateral)
     gain = jnp.stack([model.servo_gain, model.servo_gain, lateral.turn_gain])
-    return gain, jnp.stack([model.servo_torque, model.servo_torque, lateral.turn_torque])
+    max_force = jnp.stack([model.servo_torque, model.servo_torque, lateral.turn_torque])
+    return gain, max_force

@@ -117,7 +117,8 @@ def _link(path: Path, element: Element, joint: Element | None, parent: int, body
     if limit is not None:
         link.max_rate = _limit(path, limit, "velocity")
         link.max_torque = _limit(path, limit, "effort")
-        lower, upper = _limit(path, limit, "lower"), _limit(path, limit, "upper")
+        lower = _limit(path, limit, "lower")
+        upper = _limit(path, limit, "upper")
         link.max_angle = None if lower is None or upper is None else min(lower, upper)
     link.shapes = _shapes(path, element, link, body, colors)
     return link
@@ -138,9 +139,10 @@ def _jointed_link(path: Path, element: Element, joint: Element, index: int, pare
     line = joint.find("axis")
     along = np.array([1.0, 0.0, 0.0]) if line is None else _numbers(path, line, "xyz", 3)
     if kind in ("hinge", "slide"):
-        if not np.linalg.norm(along) > 1e-6:
+        length = np.linalg.norm(along)
+        if not length > 1e-6:
             raise _error(path, joint if line is None else line, "is no direction; give an xyz that is not 0 0 0")
-        axis = turn @ (along / np.linalg.norm(along))
+        axis = turn @ (along / length)
     return Link(element.get("name", ""), index, joint.get("name", ""), kind, axis, place, turn)
 
 
@@ -272,7 +274,9 @@ def _origin(path: Path, element: Element) -> tuple[np.ndarray, np.ndarray]:
 
 def _color(path: Path, material: Element) -> tuple[float, ...] | None:
     color = material.find("color")
-    return None if color is None else tuple(np.clip(_numbers(path, color, "rgba", 4)[:3], 0.0, 1.0).tolist())
+    if color is None:
+        return None
+    return tuple(np.clip(_numbers(path, color, "rgba", 4)[:3], 0.0, 1.0).tolist())
 
 
 def _limit(path: Path, element: Element, key: str) -> float | None:

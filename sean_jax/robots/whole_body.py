@@ -209,7 +209,8 @@ def _check_body(path: Path, model: Any) -> None:
 
 def _check_ground(path: Path, model: Any) -> None:
     """FileError unless one horizontal plane is the ground, and something of the body touches it."""
-    contype, conaffinity = model.geom_contype, model.geom_conaffinity
+    contype = model.geom_contype
+    conaffinity = model.geom_conaffinity
     in_world = (model.geom_bodyid == 0) & ((contype > 0) | (conaffinity > 0))
     ground = np.flatnonzero(in_world)
     is_level = (model.geom_pos[ground, 2] == 0.0) & ~model.geom_quat[ground, 1:3].any(1)
@@ -233,7 +234,8 @@ def _at_home(model: Any) -> Any:
         mujoco.mj_resetDataKeyframe(model, data, keys.index("home") if "home" in keys else 0)
 
     # Turn the base back by its yaw.
-    w, x, y, z = data.qpos[3:7] / np.linalg.norm(data.qpos[3:7])
+    rotation = data.qpos[3:7]
+    w, x, y, z = rotation / np.linalg.norm(rotation)
     half_yaw = 0.5 * math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     turn_back = np.array([math.cos(half_yaw), 0.0, 0.0, -math.sin(half_yaw)])
     ahead = np.zeros(4)
@@ -304,8 +306,11 @@ def drive_body(scenario: Scenario, state: State, action: Float[Array, "command"]
         InputError: the control step is no multiple of the controller's period.
     """
     # As in other drives, a lost command holds and then stops, and limits apply before the controller.
-    model, robot, step = scenario.robot, state.robot, scenario.time_step
-    before, law = robot.drive_state, drive.LAWS[model.drive_type]
+    model = scenario.robot
+    robot = state.robot
+    step = scenario.time_step
+    before = robot.drive_state
+    law = drive.LAWS[model.drive_type]
     command, age = drive.active_command(model, before, action, step)
     target = jnp.stack(law.limit(model, tuple(before.target), tuple(command), step))
 
@@ -316,7 +321,8 @@ def drive_body(scenario: Scenario, state: State, action: Float[Array, "command"]
     down = ~finite | _is_down(model.data, physics["qpos"], rotation)
 
     # Obstacles and people act on the way of this step, and its velocity changes by what they shift.
-    qpos, qvel = physics["qpos"], physics["qvel"]
+    qpos = physics["qpos"]
+    qvel = physics["qvel"]
     way = _way_among_others(scenario, state, steps, qpos)
     shift = (way.position - qpos[:2]) / step  # m/s that contacts take or give
 
@@ -363,7 +369,8 @@ def _is_down(body: ArticulatedBody, qpos: Array, rotation: Array) -> Array:
 
 def _way_among_others(scenario: Scenario, state: State, steps: int, qpos: Array) -> Way:
     """The straight way of a control step, as obstacles and people let the body's disc go it."""
-    model, robot = scenario.robot, state.robot
+    model = scenario.robot
+    robot = state.robot
     heading = unit_vectors(robot.heading, jnp.asarray([1.0, 0.0], qpos.dtype))
     velocity = (qpos[:2] - jax.lax.stop_gradient(robot.position)) / scenario.time_step
     ahead, left = rotate(velocity[0], velocity[1], heading[0], -heading[1])
@@ -410,7 +417,8 @@ def _control(body: ArticulatedBody, command: Array, data: Any, memory: PyTree) -
     controller = body.controller
     result = user_calls.call("controller", controller, "command, data, memory", command, data, memory)
     if not isinstance(result, tuple) or len(result) != 2:
-        expected, cure = "a control and a memory", "return both, and () as the memory if there is none"
+        expected = "a control and a memory"
+        cure = "return both, and () as the memory if there is none"
         raise user_calls.wrong("controller", controller, user_calls.describe(result), expected, cure)
     ctrl, new_memory = result
     user_calls.check_array("controller", controller, ctrl, float, (body.model.nu,), "give a number for each actuator")
@@ -421,7 +429,8 @@ def _control(body: ArticulatedBody, command: Array, data: Any, memory: PyTree) -
 def _on_floor(robot: Robot) -> dict[str, Array]:
     """The fields of ``mjx.Data`` with the pose and the speeds on the floor that ``Robot`` has."""
     physics = robot.drive_state.physics
-    qpos, qvel = physics["qpos"], physics["qvel"]
+    qpos = physics["qpos"]
+    qvel = physics["qvel"]
     rotation = _rotation(qpos[3:7])
     old_heading = _ahead(rotation)
     heading = unit_vectors(robot.heading, jnp.asarray([1.0, 0.0], qpos.dtype))
@@ -445,7 +454,8 @@ def _turn_quaternion(quaternion: Array, old_heading: Array, heading: Array) -> A
     cross = old_heading[0] * heading[1] - old_heading[1] * heading[0]
     dot = old_heading[0] * heading[0] + old_heading[1] * heading[1]
     half = 0.5 * jnp.arctan2(cross, dot)
-    cosine, sine = jnp.cos(half), jnp.sin(half)
+    cosine = jnp.cos(half)
+    sine = jnp.sin(half)
     w, x, y, z = quaternion
     return jnp.stack([cosine * w - sine * z, cosine * x - sine * y, cosine * y + sine * x, cosine * z + sine * w])
 

@@ -62,7 +62,8 @@ def split_at_resets(recording: BagRecording) -> Resets:
         section = Section(recording, reference, begin, end)
         new_goals = section.rows(recording.goals).times
         new_maps = section.rows(recording.maps).times
-        resets.append(_split_at_jumps(_stretch(section), np.concatenate([new_goals, new_maps])))
+        evidence = np.concatenate([new_goals, new_maps])
+        resets.append(_split_at_jumps(_stretch(section), evidence))
     return Resets(
         episodes=[episode for reset in resets for episode in reset.episodes],
         cuts=sum(reset.cuts for reset in resets),
@@ -78,7 +79,8 @@ def _reference(recording: BagRecording) -> np.ndarray:
     frames = recording.frames.all
     transforms = recording.transforms.whole
     is_base = np.array([frames[child] in BASES for child in transforms[:, 3]], bool)
-    for rows in (recording.odometry.whole, recording.poses.whole, recording.people.whole, transforms[is_base]):
+    bases = transforms[is_base]
+    for rows in (recording.odometry.whole, recording.poses.whole, recording.people.whole, bases):
         stamped = rows[rows[:, 1] != 0]
         if len(stamped):
             return stamped[:, :2]
@@ -113,7 +115,8 @@ class Clock:
 
     def __init__(self, reference: np.ndarray, begin: int, end: int):
         """A clock of the messages that were received between two times [ns]."""
-        rows = reference[(reference[:, 0] >= begin) & (reference[:, 0] < end)]
+        received = reference[:, 0]
+        rows = reference[(received >= begin) & (received < end)]
         self._received = rows[:, 0]
         delay = rows[:, 0] - rows[:, 1]
         self._least = delay.min() if len(delay) else 0
@@ -128,7 +131,9 @@ class Clock:
 
         # Floats hold times since the first message, and the delays beyond the least one, to the nanosecond.
         first = self._received[0]
-        delay = np.interp((received - first).astype(float), (self._received - first).astype(float), self._delays)
+        elapsed = (received - first).astype(float)
+        known_elapsed = (self._received - first).astype(float)
+        delay = np.interp(elapsed, known_elapsed, self._delays)
         sent = received - self._least - np.round(delay).astype(np.int64)
         return np.where(stamp != 0, stamp, sent)
 
@@ -229,7 +234,8 @@ def _robot(section: Section, transforms: Transforms) -> tuple[BagTrack | None, B
     if not len(rows.times):
         return None, None, ""
     frames = section.frames_of(rows)
-    robot = _track(rows.times, _in_root(transforms, frames, rows.times, rows.numbers[:, :3]))
+    poses = _in_root(transforms, frames, rows.times, rows.numbers[:, :3])
+    robot = _track(rows.times, poses)
     speeds = _track(rows.times, rows.numbers[:, 3:]) if has_speeds else None
     return robot, speeds, transforms.root(frames[0])
 
@@ -240,7 +246,8 @@ def _people(rows: TimedRows, frames: list[str], transforms: Transforms) -> list[
     velocity = rows.numbers[:, 2:4].copy()
     for k, frame in enumerate(frames):
         if frame in transforms.parent:
-            velocity[k] = transforms.pose(frame, int(rows.times[k])).turn(*velocity[k])
+            pose = transforms.pose(frame, int(rows.times[k]))
+            velocity[k] = pose.turn(*velocity[k])
     person = rows.whole[:, 3]
     group = rows.whole[:, 4]
     values = np.column_stack([poses[:, :2], velocity, poses[:, 2], group])
@@ -248,7 +255,11 @@ def _people(rows: TimedRows, frames: list[str], transforms: Transforms) -> list[
     # Rows of a person after those of another, by the number of the name.
     order = np.argsort(person, kind="stable")
     borders = np.flatnonzero(np.diff(person[order])) + 1
-    return [_track(rows.times[index], values[index]) for index in np.split(order, borders) if len(index)]
+    tracks = []
+    for index in np.split(order, borders):
+        if len(index):
+            tracks.append(_track(rows.times[index], values[index]))
+    return tracks
 
 
 def _in_root(transforms: Transforms, frames: list[str], times: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -256,7 +267,8 @@ def _in_root(transforms: Transforms, frames: list[str], times: np.ndarray, poses
     moved = poses.copy()
     for k, frame in enumerate(frames):
         if frame in transforms.parent:
-            moved[k] = transforms.pose(frame, int(times[k])).then(PlanarPose(*poses[k]))
+            pose = transforms.pose(frame, int(times[k]))
+            moved[k] = pose.then(PlanarPose(*poses[k]))
     return moved
 
 
@@ -277,7 +289,8 @@ def jumps(track: BagTrack) -> np.ndarray:
     seconds = np.diff(track.times) / SECOND
     steps = np.diff(track.values[:, :2], axis=0)  # (M - 1, 2) m
     distance = np.hypot(steps[:, 0], steps[:, 1])
-    return np.flatnonzero((distance > LEAST_JUMP) & (distance > FASTEST * seconds)) + 1
+    is_jump = (distance > LEAST_JUMP) & (distance > FASTEST * seconds)
+    return np.flatnonzero(is_jump) + 1
 
 
 class Jump(NamedTuple):
@@ -298,7 +311,9 @@ def _split_at_jumps(stretch: Stretch, evidence: np.ndarray) -> Resets:
     tracks = [stretch.robot, *stretch.people] if stretch.robot is not None else stretch.people
     moves = []
     for index, track in enumerate(tracks):
-        moves += [Jump(np.int64(track.times[k - 1]), np.int64(track.times[k]), index) for k in jumps(track)]
+        for k in jumps(track):
+            before, after = track.times[k - 1], track.times[k]
+            moves.append(Jump(np.int64(before), np.int64(after), index))
     moves.sort(key=lambda move: move.after)
 
     # Jumps within half a second belong together.
@@ -314,8 +329,12 @@ def _split_at_jumps(stretch: Stretch, evidence: np.ndarray) -> Resets:
             single += cluster
     robot_jumps = sum(has_robot and move.track == 0 for move in single)
 
-    episodes = [_episode(stretch, begin, end) for begin, end in _spans(borders)]
-    episodes = [episode for episode in episodes if (episode.robot is not None if has_robot else episode.people)]
+    episodes = []
+    for begin, end in _spans(borders):
+        episode = _episode(stretch, begin, end)
+        is_there = episode.robot is not None if has_robot else episode.people
+        if is_there:
+            episodes.append(episode)
     return Resets(episodes, len(single) - robot_jumps, robot_jumps)
 
 
@@ -324,7 +343,8 @@ def _is_reset(cluster: list[Jump], tracks: list[BagTrack], evidence: np.ndarray)
     slack = TOGETHER * SECOND
     begin = min(jump.before for jump in cluster)
     end = max(jump.after for jump in cluster)
-    if ((evidence >= begin - slack) & (evidence <= end + slack)).any():
+    is_near = (evidence >= begin - slack) & (evidence <= end + slack)
+    if is_near.any():
         return True
     present = 0
     for track in tracks:

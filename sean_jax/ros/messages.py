@@ -467,7 +467,9 @@ def _group_markers(groups: Groups) -> Iterator[Message]:
     angle = np.linspace(0.0, 2 * np.pi, 33)
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
     for index, present in enumerate(groups.present):
-        outline = np.asarray(groups.center[index]) + np.asarray(groups.radius[index]) * circle
+        center = np.asarray(groups.center[index])
+        radius = np.asarray(groups.radius[index])
+        outline = center + radius * circle  # (33, 2)
         points = [vector(x, y, 0.02) for x, y in outline]
         yield _marker("groups", index, LINE_STRIP, _origin_pose(), (0.05, 0.0, 0.0), present, points=points)
 

@@ -25,6 +25,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from sean_jax.config.commands.bridge import host_and_port
 from sean_jax.core.errors import InputError
 from sean_jax.core.messages import parse_json
 from sean_jax.ros.transport import Mailbox, Output
@@ -323,17 +324,10 @@ def _address(place: str) -> tuple[str, int]:
     Raises:
         InputError: it is none.
     """
-    host, _, port = place.rpartition(":")
-    host = {"localhost": local_server.HOST, "": local_server.HOST}.get(host, host.strip("[]"))
     try:
-        ipaddress.ip_address(host)
-        if not 0 <= int(port) < 65_536:
-            raise ValueError
-    except ValueError:
-        raise InputError(
-            f"rosbridge: {place} is no address and port; give one such as {local_server.HOST}:9090."
-        ) from None
-    return host, int(port)
+        return host_and_port(place)
+    except ValueError as error:
+        raise InputError(f"rosbridge: {error}.") from None
 
 
 def _is_local(name: str | None) -> bool:

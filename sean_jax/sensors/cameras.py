@@ -20,7 +20,8 @@ from sean_jax.sensors.raycast import Rays, bundle, by_rows, distance, search
 
 OVERHEAD = "overhead"
 SEES_ROBOT = ("third_person", OVERHEAD)
-DEPTH_FAR, PICTURE_FAR = 20.0, 200.0  # m
+DEPTH_FAR = 20.0  # m, of the depth camera, if nothing else is said
+PICTURE_FAR = 200.0  # m, of the others
 OVERHEAD_EXTENT = 6.0  # m, height of the overhead picture
 
 
@@ -122,11 +123,11 @@ def _directions(view: Camera) -> tuple[np.ndarray, np.ndarray | None, np.ndarray
     across, along = np.meshgrid(right, up)
 
     # MuJoCo's cameras look along -z, x is to the right and y up.
-    axes = np.asarray(view.axes).reshape(3, 3)
-    pixels = across[..., None] * axes[:, 0] + along[..., None] * axes[:, 1]
+    x_axis, y_axis, z_axis = np.asarray(view.axes).reshape(3, 3).T
+    pixels = across[..., None] * x_axis + along[..., None] * y_axis
     if view.orthographic:
-        return np.broadcast_to(-axes[:, 2], pixels.shape), pixels, np.ones(pixels.shape[:2])
-    direction = pixels - axes[:, 2]
+        return np.broadcast_to(-z_axis, pixels.shape), pixels, np.ones(pixels.shape[:2])
+    direction = pixels - z_axis
     length = np.linalg.norm(direction, axis=-1)
     return direction / length[..., None], None, 1.0 / length
 
@@ -171,7 +172,8 @@ def pixels_of_people(scenario: Scenario, state: State, camera: Camera) -> Int[Ar
     """
     bundles, cosine = bands(camera)
     view = jax.lax.stop_gradient(sensor_view(scenario, state, camera, camera.sees_robot))
-    distances, numbers = [], []
+    distances = []
+    numbers = []
     for band in bundles:
         to_body, body = search(view, band)
         distances.append(by_rows(band, to_body))
@@ -180,7 +182,8 @@ def pixels_of_people(scenario: Scenario, state: State, camera: Camera) -> Int[Ar
     in_range = (image >= camera.near) & (image <= camera.far)
 
     # People have the numbers after those of boxes, cylinders and spheres.
-    first_person, people = sum(view.counts[:3]), view.counts[3]
+    first_person = sum(view.counts[:3])
+    people = view.counts[3]
     person = jnp.where(in_range, jnp.concatenate(numbers) - first_person, -1).reshape(-1)
     is_person = person[:, None] == jnp.arange(people, dtype=person.dtype)[None, :]  # (pixels, N)
     return is_person.sum(0, dtype=jnp.int32)

@@ -35,7 +35,8 @@ class Device(Protocol):
 
 def sensor_view(scenario: Scenario, state: State, device: Device, with_robot: bool = False) -> View:
     """The bodies around a sensor."""
-    people, robot = state.pedestrians, state.robot
+    people = state.pedestrians
+    robot = state.robot
     origin = _origin(scenario.robot, device)
     solids = scenario.environment.scenery.solids
     radius = scenario.forces.walking.radius

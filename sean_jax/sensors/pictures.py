@@ -7,6 +7,7 @@ is darker beside bodies that stand on it, and bodies are darker near the floor.
 """
 
 import dataclasses
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -27,17 +28,41 @@ from sean_jax.sensors.raycast.vectors import Vector
 SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)
 CLASSES = ("sky", "floor", "obstacle", "person", "robot")
 """The meaning of the numbers in ``Picture.semantic``."""
-AMBIENT, SKYLIGHT, SUN = 0.5, 0.16, 0.4  # shares of the light; the skylight comes from above
-SHADOW, SHADOW_REACH = 0.45, 0.22  # share of the light lost beside a body, and m over which the loss fades
-CORNER, CORNER_REACH = 0.35, 0.12  # likewise, on a body near the floor
-JOINT_FADE, SQUARE_FADE = 5.0, 12.0  # m, at which joints and squares have lost much of their contrast
-TILE, LAMP = 0.25, (4.0, 3.0)  # sides of a ceiling's tile over its height; tiles from one lamp to the next
-PANEL, LAMPS, SEAM = (0.84, 0.84, 0.82), (1.0, 1.0, 0.96), 0.9  # colors of tiles and lamps, light of the seams
-BAY, LEVEL, BEAM, UPRIGHT = 2.0, 1.0, 0.09, 0.07  # m, of shelves: width, height, thickness of beams and uprights
-BEAM_COLOR, GOODS, INSIDE = (0.84, 0.45, 0.16), (0.74, 0.58, 0.40), 0.3
-BOARD, DADO = (0.1, 0.6), (1.1, 0.86)  # m up to which a wall is darker, and its light there
-STOREY, PLINTH, GLASS = 3.0, (0.6, 0.7), (0.36, 0.45, 0.53)  # m, of a facade; its foot; color of windows
 Color = tuple[Array, Array, Array]  # red, green and blue, of one shape
+
+# Light.
+AMBIENT = 0.5  # share of the light that is the same on all sides
+SKYLIGHT = 0.16  # share of the light from above
+SUN = 0.4  # share of the light from the sun
+SHADOW = 0.45  # share of the light lost beside a body
+SHADOW_REACH = 0.22  # m, over which the loss fades
+CORNER = 0.35  # share of the light lost on a body near the floor
+CORNER_REACH = 0.12  # m, over which the loss fades
+JOINT_FADE = 5.0  # m, at which joints have lost much of their contrast
+SQUARE_FADE = 12.0  # m, at which squares have lost much of their contrast
+
+# Ceilings.
+TILE = 0.25  # sides of a tile over the height of the ceiling
+LAMP = (4.0, 3.0)  # tiles from one lamp to the next
+PANEL = (0.84, 0.84, 0.82)  # color of tiles
+LAMPS = (1.0, 1.0, 0.96)  # color of lamps
+SEAM = 0.9  # light of the seams
+
+# Shelves.
+BAY = 2.0  # m, width
+LEVEL = 1.0  # m, height
+BEAM = 0.09  # m, thickness of beams
+UPRIGHT = 0.07  # m, thickness of uprights
+BEAM_COLOR = (0.84, 0.45, 0.16)
+GOODS = (0.74, 0.58, 0.40)
+INSIDE = 0.3  # light inside a shelf, over that of its frame
+
+# Walls and facades.
+BOARD = (0.1, 0.6)  # m up to which a wall is darkest, and its light there
+DADO = (1.1, 0.86)  # m up to which a wall is darker, and its light there
+STOREY = 3.0  # m, height of a storey of a facade, and distance of its windows
+PLINTH = (0.6, 0.7)  # m up to which a facade is darker, and its light there
+GLASS = (0.36, 0.45, 0.53)  # color of windows
 
 
 @struct.dataclass
@@ -66,13 +91,16 @@ def render(scenario: Scenario, state: State, camera: Camera) -> Picture:
 
     body_color = _body_colors(scenario, camera.sees_robot)
     rgb = colors(scenario, state, view, bundle, number, distance, number_behind, body_color)
-    picture = jax.lax.platform_dependent(rgb, cpu=partial(_one_by_one, bundle), default=partial(_at_once, bundle))
+    on_cpu = partial(_one_by_one, bundle)
+    on_gpu = partial(_at_once, bundle)
+    picture = jax.lax.platform_dependent(rgb, cpu=on_cpu, default=on_gpu)
 
     image = by_rows(bundle, distance) * jnp.asarray(cosine, float)
     in_range = (image >= camera.near) & (image <= camera.far)
+    depth = jnp.where(in_range, image, camera.far)
     return Picture(
         rgb=picture,
-        depth=jnp.where(in_range, image, camera.far),
+        depth=depth,
         semantic=by_rows(bundle, semantic),
         instance=by_rows(bundle, instance),
     )
@@ -88,7 +116,8 @@ def _one_by_one(bundle: Rays, rgb: Color) -> Array:
 
 
 def _at_once(bundle: Rays, rgb: Color) -> Array:
-    return jnp.stack([by_rows(bundle, values) for values in jax.lax.optimization_barrier(rgb)], -1)
+    rgb = jax.lax.optimization_barrier(rgb)
+    return jnp.stack([by_rows(bundle, values) for values in rgb], -1)
 
 
 def _counts(solids: Solids) -> tuple[int, int, int]:
@@ -99,15 +128,22 @@ def _counts(solids: Solids) -> tuple[int, int, int]:
 def _labels(scenario: Scenario, view: View, with_robot: bool) -> tuple[np.ndarray, np.ndarray]:
     """Class and instance (bodies + 2,) by number in the view; the floor and the sky come last."""
     scenery_counts = _counts(scenario.environment.scenery.solids)
-    robot_counts = _counts(scenario.robot.solids) if with_robot else (0, 0, 0)
-    people, obstacles = view.counts[3], sum(scenery_counts)
-    semantic, instance = [], []
+    robot_counts = (0, 0, 0)
+    if with_robot:
+        robot_counts = _counts(scenario.robot.solids)
+    people = view.counts[3]
+    obstacles = sum(scenery_counts)
+    semantic = []
+    instance = []
     first = people
     for scenery_count, robot_count in zip(scenery_counts, robot_counts, strict=True):
-        semantic += [OBSTACLE] * scenery_count + [ROBOT] * robot_count
-        instance += [*range(first, first + scenery_count)] + [people + obstacles] * robot_count
+        semantic += [OBSTACLE] * scenery_count
+        semantic += [ROBOT] * robot_count
+        instance += range(first, first + scenery_count)
+        instance += [people + obstacles] * robot_count
         first += scenery_count
-    semantic += [PERSON] * people + [FLOOR, SKY]
+    semantic += [PERSON] * people
+    semantic += [FLOOR, SKY]
     instance += [*range(people), -1, -1]
     return np.array(semantic, np.int32), np.array(instance, np.int32)
 
@@ -121,7 +157,8 @@ def _body_colors(scenario: Scenario, with_robot: bool) -> Array:
         colors.append(scenery_colors)
         if with_robot:
             colors.append(robot_colors)
-    return jnp.concatenate([*colors, jnp.zeros((2, 4), float)]).T
+    floor_and_sky = jnp.zeros((2, 4), float)
+    return jnp.concatenate([*colors, floor_and_sky]).T
 
 
 def _colors_by_kind(solids: Solids) -> list[Array]:
@@ -131,6 +168,11 @@ def _colors_by_kind(solids: Solids) -> list[Array]:
 
 
 # --- paint ---
+
+
+def _channels(channel: Callable[[int], Array]) -> Color:
+    """Red, green and blue, each by its number."""
+    return channel(0), channel(1), channel(2)
 
 
 class Surface(NamedTuple):
@@ -161,7 +203,8 @@ def colors(
     """
     # Colors have no rows for people, whose clothes belong to figures: numbers beyond them move up.
     scenery = scenario.environment.scenery
-    people, floor_number = view.counts[3], sum(view.counts[:3])  # in a view without people; the sky has the next number
+    people = view.counts[3]
+    floor_number = sum(view.counts[:3])  # in a view without people; the sky has the next number
     behind = jnp.where(behind >= floor_number, behind - people, behind)
 
     # What is visible: figures of people, and beside their limbs what is behind.
@@ -169,19 +212,23 @@ def colors(
     to_surface, normal, on_figure = jax.lax.optimization_barrier(visible)
     is_floor = (behind == floor_number) & ~on_figure
     is_sky = (behind == floor_number + 1) & ~on_figure
-    point = along(bundle, jnp.where(to_surface < MISS, to_surface, 0.0))
+    to_point = jnp.where(to_surface < MISS, to_surface, 0.0)
+    point = along(bundle, to_point)
     up = point.z + view.height
 
     # Bodies and floor darken each other where they touch, or things would seem to float.
     light = _light(scenery, state, normal)
-    light = light * jnp.where(is_floor, _beside_bodies(view, bundle, point.x, point.y), _near_floor(up))
+    floor_share = _beside_bodies(view, bundle, point.x, point.y)
+    body_share = _near_floor(up)
+    light = light * jnp.where(is_floor, floor_share, body_share)
     ground_x, ground_y = _over_ground(state, view, point)
     across = _across_wall(state, normal, ground_x, ground_y)
     light, ground_x, ground_y, across = jax.lax.optimization_barrier((light, ground_x, ground_y, across))
 
     # Paint depends on places in the world, so patterns stay where they are as the robot moves.
     floor = _floor(scenery, ground_x, ground_y, to_surface)
-    red, green, blue, pattern = (column[jnp.where(on_figure, floor_number, behind)] for column in body_color)
+    body = jnp.where(on_figure, floor_number, behind)
+    red, green, blue, pattern = (column[body] for column in body_color)
 
     # Patterns are for upright sides; tops are plain.
     side_pattern = jnp.where(jnp.abs(normal.z) < 0.5, pattern, 0.0)
@@ -191,7 +238,8 @@ def colors(
     rise = jnp.asarray(np.maximum(bundle.direction[2], 0.0), float)
     to_ceiling = _to_ceiling(scenery, view, rise)
     is_ceiling = to_ceiling < to_surface
-    ceiling = _visible_ceiling(scenery, state, view, bundle, jnp.where(is_ceiling, to_ceiling, 0.0))
+    to_visible = jnp.where(is_ceiling, to_ceiling, 0.0)
+    ceiling = _visible_ceiling(scenery, state, view, bundle, to_visible)
 
     # A pixel is ceiling, else sky, else a lit surface: ceiling and sky have their colors without light.
     def channel(axis: int) -> Array:
@@ -199,10 +247,11 @@ def colors(
         if figure is not None:
             body = jnp.where(on_figure, figure.color[axis], body)
         lit = jnp.where(is_floor, floor[axis], body) * light
-        color = jnp.where(is_ceiling, ceiling[axis], jnp.where(is_sky, _sky(scenery, axis, rise), lit))
+        open_air = jnp.where(is_sky, _sky(scenery, axis, rise), lit)
+        color = jnp.where(is_ceiling, ceiling[axis], open_air)
         return jnp.clip(color, 0.0, 1.0)
 
-    return channel(0), channel(1), channel(2)
+    return _channels(channel)
 
 
 def _visible_surface(
@@ -211,41 +260,52 @@ def _visible_surface(
     """The figures of people, and the surface along each ray: of a figure, or of what is behind the people."""
     without_people = dataclasses.replace(view, people=view.people[:0])
     to_body, body_normal = surface(without_people, bundle, behind)
-    people, first_person = view.counts[3], sum(view.counts[:3])
+    people = view.counts[3]
+    first_person = sum(view.counts[:3])
     if not people:
-        return None, Surface(to_body, body_normal, jnp.zeros(behind.shape, bool))
+        on_figure = jnp.zeros(behind.shape, bool)
+        return None, Surface(to_body, body_normal, on_figure)
 
-    is_person = (number >= first_person) & (number < first_person + people)
+    end = first_person + people
+    is_person = (number >= first_person) & (number < end)
     person = jnp.where(is_person, number - first_person, -1)
     figure = trace_figures(state, view, bundle, person, distance)
     on_figure = figure.distance < MISS
     to_surface = jnp.where(on_figure, figure.distance, to_body)
-    normal = (jnp.where(on_figure, new, old) for new, old in zip(figure.normal, body_normal, strict=True))
-    return figure, Surface(to_surface, Vector(*normal), on_figure)
+    components = zip(figure.normal, body_normal, strict=True)
+    normal = Vector(*(jnp.where(on_figure, of_figure, of_body) for of_figure, of_body in components))
+    return figure, Surface(to_surface, normal, on_figure)
 
 
 def _to_ceiling(scenery: Scenery, view: View, rise: Array) -> Array:
     """Distance [m] along rays, whose vertical components are ``rise``, to the ceiling; MISS without one."""
     room = scenery.ceiling - view.height
-    return jnp.where((rise > 1e-6) & (room > 0.0), room / jnp.maximum(rise, 1e-6), MISS)
+    meets = (rise > 1e-6) & (room > 0.0)
+    distance = room / jnp.maximum(rise, 1e-6)
+    return jnp.where(meets, distance, MISS)
 
 
 def _visible_ceiling(scenery: Scenery, state: State, view: View, bundle: Rays, distance: Array) -> Color:
     """The color of the ceiling at a distance [m] along each ray."""
-    x, y = _over_ground(state, view, along(bundle, distance))
+    point = along(bundle, distance)
+    x, y = _over_ground(state, view, point)
     return _ceiling(scenery, x, y, distance)
 
 
 def _sky(scenery: Scenery, axis: int, rise: Array) -> Array:
     """A color of the sky, from the horizon up."""
     horizon = scenery.sky[1, axis]
-    return horizon + (scenery.sky[0, axis] - horizon) * rise
+    zenith = scenery.sky[0, axis]
+    return horizon + (zenith - horizon) * rise
 
 
 def _over_ground(state: State, view: View, point: Vector) -> tuple[Array, Array]:
     """Points from the sensor [m] as (x, y) in the world."""
-    position, heading = state.robot.position, state.robot.heading
-    x, y = rotate(point.x + view.place[0], point.y + view.place[1], heading[0], heading[1])
+    position = state.robot.position
+    heading = state.robot.heading
+    ahead = point.x + view.place[0]
+    left = point.y + view.place[1]
+    x, y = rotate(ahead, left, heading[0], heading[1])
     return x + position[0], y + position[1]
 
 
@@ -260,13 +320,16 @@ def _light(scenery: Scenery, state: State, normal: Vector) -> Array:
     """Light of the sun and the sky on a surface with that normal."""
     heading = state.robot.heading
     sun_x, sun_y = rotate(scenery.sun[0], scenery.sun[1], heading[0], -heading[1])
-    facing = jnp.maximum(normal.x * sun_x + normal.y * sun_y + normal.z * scenery.sun[2], 0.0)
-    return AMBIENT + SKYLIGHT * (0.5 + 0.5 * normal.z) + SUN * facing
+    to_sun = normal.x * sun_x + normal.y * sun_y + normal.z * scenery.sun[2]
+    sunlight = jnp.maximum(to_sun, 0.0)
+    skylight = 0.5 + 0.5 * normal.z
+    return AMBIENT + SKYLIGHT * skylight + SUN * sunlight
 
 
 def _near_floor(up: Array) -> Array:
     """Share of the light that reaches bodies ``up`` m above the floor."""
-    return 1.0 - CORNER * jnp.exp(-jnp.maximum(up, 0.0) / CORNER_REACH)
+    fade = jnp.exp(-jnp.maximum(up, 0.0) / CORNER_REACH)
+    return 1.0 - CORNER * fade
 
 
 def _beside_bodies(view: View, bundle: Rays, x: Array, y: Array) -> Array:
@@ -274,9 +337,11 @@ def _beside_bodies(view: View, bundle: Rays, x: Array, y: Array) -> Array:
     falling = np.flatnonzero((bundle.direction[2] < 0.0).any(1))  # tiles
     if not len(falling):
         return jnp.ones_like(x)
-    first, end = falling[0], falling[-1] + 1
+    first = falling[0]
+    end = falling[-1] + 1
     light = _beside(view, x[first:end], y[first:end])
-    return jnp.pad(light, ((first, len(x) - end), (0, 0)), constant_values=1.0)
+    other_tiles = first, len(x) - end
+    return jnp.pad(light, (other_tiles, (0, 0)), constant_values=1.0)
 
 
 def _beside(view: View, x: Array, y: Array) -> Array:
@@ -285,17 +350,22 @@ def _beside(view: View, x: Array, y: Array) -> Array:
     def nearer_person(nearest: Array, position: Array) -> tuple[Array, None]:
         dx = x - position[0]
         dy = y - position[1]
-        return jnp.minimum(nearest, dx * dx + dy * dy), None
+        square = dx * dx + dy * dy
+        return jnp.minimum(nearest, square), None
 
     def nearer_box(nearest: Array, row: Array) -> tuple[Array, None]:
-        return jnp.minimum(nearest, _squared_distance_below(view, row, x, y)), None
+        square = _squared_distance_below(view, row, x, y)
+        return jnp.minimum(nearest, square), None
 
     far = jnp.full_like(x, 1e6)  # m2
-    people, _ = jax.lax.scan(nearer_person, far, jax.lax.stop_gradient(view.people), unroll=16)
-    boxes, _ = jax.lax.scan(nearer_box, far, jax.lax.stop_gradient(view.boxes), unroll=16)
-    to_person = jnp.maximum(jnp.sqrt(people) - 0.6 * view.radius, 0.0)
-    distance = jnp.minimum(to_person, jnp.sqrt(boxes))
-    return 1.0 - SHADOW * jnp.exp(-jax.lax.stop_gradient(distance) / SHADOW_REACH)
+    people = jax.lax.stop_gradient(view.people)
+    boxes = jax.lax.stop_gradient(view.boxes)
+    person_square, _ = jax.lax.scan(nearer_person, far, people, unroll=16)
+    box_square, _ = jax.lax.scan(nearer_box, far, boxes, unroll=16)
+    to_person = jnp.maximum(jnp.sqrt(person_square) - 0.6 * view.radius, 0.0)
+    distance = jnp.minimum(to_person, jnp.sqrt(box_square))
+    fade = jnp.exp(-jax.lax.stop_gradient(distance) / SHADOW_REACH)
+    return 1.0 - SHADOW * fade
 
 
 def _squared_distance_below(view: View, box: Array, x: Array, y: Array) -> Array:
@@ -310,7 +380,9 @@ def _squared_distance_below(view: View, box: Array, x: Array, y: Array) -> Array
 def _floor(scenery: Scenery, x: Array, y: Array, distance: Array) -> Color:
     """The color of the floor at places (x, y) [m] over the ground, less in contrast at a distance [m]."""
     # Squares of two colors, in turn.
-    is_odd = jnp.mod(jnp.floor(x / scenery.square) + jnp.floor(y / scenery.square), 2.0) > 0.5
+    column = jnp.floor(x / scenery.square)
+    row = jnp.floor(y / scenery.square)
+    is_odd = jnp.mod(column + row, 2.0) > 0.5
     contrast = 0.5 * jnp.exp(-distance / SQUARE_FADE)
     second = jnp.where(is_odd, 0.5 + contrast, 0.5 - contrast)
 
@@ -318,13 +390,15 @@ def _floor(scenery: Scenery, x: Array, y: Array, distance: Array) -> Color:
     period = 2.0 * scenery.square
     to_joint = jnp.minimum(_to_multiple(x, period), _to_multiple(y, period))
     is_joint = to_joint < 0.5 * scenery.joint
-    joint = jnp.where(is_joint, 1.0 / (1.0 + jnp.square(distance / JOINT_FADE)), 0.0)
+    fade = 1.0 + jnp.square(distance / JOINT_FADE)
+    joint = jnp.where(is_joint, 1.0 / fade, 0.0)
 
     def channel(axis: int) -> Array:
-        square = scenery.floor[0, axis] + second * (scenery.floor[1, axis] - scenery.floor[0, axis])
+        first_color = scenery.floor[0, axis]
+        square = first_color + second * (scenery.floor[1, axis] - first_color)
         return square + joint * (scenery.floor[2, axis] - square)
 
-    return channel(0), channel(1), channel(2)
+    return _channels(channel)
 
 
 def _to_multiple(x: Array, period: Array) -> Array:
@@ -348,29 +422,34 @@ def _ceiling(scenery: Scenery, x: Array, y: Array, distance: Array) -> Color:
     u = x / side
     v = y / side
     is_seam = (_to_integer(u) < 0.02) | (_to_integer(v) < 0.02)
-    is_lamp = (jnp.mod(u, LAMP[0]) < 2.0) & (jnp.mod(v, LAMP[1]) < 1.0) & ~is_seam
+    in_column = jnp.mod(u, LAMP[0]) < 2.0
+    in_row = jnp.mod(v, LAMP[1]) < 1.0
+    is_lamp = in_column & in_row & ~is_seam
     fade = jnp.exp(-distance / (8.0 * scenery.ceiling + 1e-3))
-    light = jnp.where(is_seam, 1.0 - (1.0 - SEAM) * fade, 1.0) * (0.82 + 0.18 * fade)
+    seam_light = 1.0 - (1.0 - SEAM) * fade
+    light = jnp.where(is_seam, seam_light, 1.0) * (0.82 + 0.18 * fade)
 
     def channel(axis: int) -> Array:
         return jnp.where(is_lamp, LAMPS[axis], PANEL[axis] * light)
 
-    return channel(0), channel(1), channel(2)
+    return _channels(channel)
 
 
 def _pattern(color: Color, pattern: Array, across: Array, up: Array) -> Color:
     """The colors of bodies with a pattern, an index into PATTERNS, ``across`` a side and ``up`` from the floor [m]."""
     is_wall, is_shelf, is_facade = (pattern == PATTERNS.index(name) for name in PATTERNS[1:])
-    wall_light = jnp.where(up < BOARD[0], BOARD[1], jnp.where(up < DADO[0], DADO[1], 1.0))
+    above_board = jnp.where(up < DADO[0], DADO[1], 1.0)
+    wall_light = jnp.where(up < BOARD[0], BOARD[1], above_board)
     shelf = _shelf(color, across, up)
     facade = _facade(color, across, up)
 
     def channel(axis: int) -> Array:
         plain = color[axis]
-        wall_or_plain = jnp.where(is_wall, plain * wall_light, plain)
-        return jnp.where(is_shelf, shelf[axis], jnp.where(is_facade, facade[axis], wall_or_plain))
+        painted = jnp.where(is_wall, plain * wall_light, plain)
+        painted = jnp.where(is_facade, facade[axis], painted)
+        return jnp.where(is_shelf, shelf[axis], painted)
 
-    return channel(0), channel(1), channel(2)
+    return _channels(channel)
 
 
 def _shelf(color: Color, across: Array, up: Array) -> Color:
@@ -384,16 +463,19 @@ def _shelf(color: Color, across: Array, up: Array) -> Color:
     # Fractions of multiples of irrational numbers look random, and are equal in all pictures.
     slot = 2.0 * bay
     chance = jnp.mod(0.618034 * jnp.floor(slot) + 0.754878 * jnp.floor(level), 1.0)
+    other_chance = jnp.mod(7.0 * chance, 1.0)
     within_width = jnp.abs(_fraction(slot) - 0.5) < 0.3 + 0.14 * chance
-    within_height = above_beam < 0.45 + 0.4 * jnp.mod(7.0 * chance, 1.0)
+    within_height = above_beam < 0.45 + 0.4 * other_chance
     is_goods = within_width & within_height & (chance > 0.12)
 
     def channel(axis: int) -> Array:
         frame = color[axis]
-        inside = jnp.where(is_goods, GOODS[axis] * (0.7 + 0.4 * chance), INSIDE * frame)
-        return jnp.where(is_upright, frame, jnp.where(is_beam, BEAM_COLOR[axis], inside))
+        goods = GOODS[axis] * (0.7 + 0.4 * chance)
+        inside = jnp.where(is_goods, goods, INSIDE * frame)
+        below_upright = jnp.where(is_beam, BEAM_COLOR[axis], inside)
+        return jnp.where(is_upright, frame, below_upright)
 
-    return channel(0), channel(1), channel(2)
+    return _channels(channel)
 
 
 def _facade(color: Color, across: Array, up: Array) -> Color:
@@ -408,4 +490,4 @@ def _facade(color: Color, across: Array, up: Array) -> Color:
     def channel(axis: int) -> Array:
         return jnp.where(is_window, GLASS[axis], color[axis] * light)
 
-    return channel(0), channel(1), channel(2)
+    return _channels(channel)

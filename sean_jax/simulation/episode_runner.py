@@ -102,7 +102,8 @@ class _Receiver:
     """Copies the record's rows of each chunk to the host, one chunk later."""
 
     def __init__(self, hand_on: Callable[[PyTree], None] | None, keep: bool) -> None:
-        self.hand_on, self.keep = hand_on, keep
+        self.hand_on = hand_on
+        self.keep = keep
         self.kept: list[PyTree] = []
         self._waiting: PyTree = None  # rows that the device computes
 
@@ -116,7 +117,8 @@ class _Receiver:
         """Copy the rows that wait."""
         if self._waiting is None:
             return
-        rows, self._waiting = jax.tree.map(np.asarray, self._waiting), None
+        rows = jax.tree.map(np.asarray, self._waiting)
+        self._waiting = None
         if self.hand_on is not None:
             self.hand_on(rows)
         if self.keep:
@@ -158,7 +160,9 @@ class Runner:
         self.robots = stacks[0].size if is_team else 1
         self.scenarios = [part.member for part in stacks]
         self.floors = replace(stacks[0], names=(), turn=1 if is_team else len(stacks))
-        self.policy, self.use, self.record = as_policy(policy), use, record
+        self.policy = as_policy(policy)
+        self.use = use
+        self.record = record
         self.mesh = devices.mesh() if mesh is None else mesh
         self.size = batch_size(size, self.floors, self.robots * math.lcm(self.mesh.size, drivers or 1))
         self.compile_seconds = 0.0
@@ -226,7 +230,8 @@ class Runner:
         """
         if self.floors.size == 1:
             return self.floors
-        turn, count = self.floors.turn, self.floors.size
+        turn = self.floors.turn
+        count = self.floors.size
         if first % turn:
             raise ValueError(f"first: {first} is no multiple of the {turn} scenarios, which share a floor.")
         index = self.floor_indices(first)[::turn]
@@ -343,7 +348,8 @@ class Runner:
         Raises:
             FloatingPointError: a number is not finite; the message names the episodes.
         """
-        scenario, batches = self.scenarios[0], []
+        scenario = self.scenarios[0]
+        batches = []
         starts = range(first, first + count, self.size)
         for index, start in enumerate(starts):
 
@@ -383,8 +389,11 @@ def even_batch(count: int) -> int:
 def not_finite(first: int, faulty: np.ndarray, robots: int = 1) -> str:
     """The sentence on faulty episodes, by their rows from number ``first`` on, ``robots`` for each episode."""
     episodes = np.any(faulty.reshape(-1, robots), 1, keepdims=True)[:, 0]
-    numbers, count = first // robots + np.flatnonzero(episodes), len(episodes)
-    names = ", ".join(map(str, numbers[:8])) + (f" and {len(numbers) - 8} more" if len(numbers) > 8 else "")
+    numbers = first // robots + np.flatnonzero(episodes)
+    count = len(episodes)
+    names = ", ".join(map(str, numbers[:8]))
+    if len(numbers) > 8:
+        names += f" and {len(numbers) - 8} more"
     return f"{len(numbers)} of {count} episodes hold numbers that are not finite: {names}."
 
 
@@ -394,13 +403,14 @@ def varying_leaves(scenarios: Sequence[Scenario]) -> dict[int, Array]:
     Raises:
         ValueError: the scenarios differ in more.
     """
-    first, *others = (jax.tree.flatten(replace(each, task=None, task_name="")) for each in scenarios)
-    if any(tree != first[1] for _, tree in others):
+    without_tasks = [replace(scenario, task=None, task_name="") for scenario in scenarios]
+    first_structure, *structures = map(jax.tree.structure, without_tasks)
+    if any(structure != first_structure for structure in structures):
         raise ValueError("scenarios: their static structure differs; run them separately.")
     varying = {}
-    for place, leaves in enumerate(zip(first[0], *(each for each, _ in others), strict=True)):
+    for index, leaves in enumerate(zip(*map(jax.tree.leaves, without_tasks), strict=True)):
         if not all(leaf is leaves[0] or np.array_equal(np.asarray(leaf), np.asarray(leaves[0])) for leaf in leaves):
-            varying[place] = jnp.stack([jnp.asarray(leaf) for leaf in leaves])
+            varying[index] = jnp.stack([jnp.asarray(leaf) for leaf in leaves])
     return varying
 
 
@@ -471,7 +481,8 @@ def _begin(record: Record, drivers: int | None, fixed: Fixed, states: State, ind
         return init_policy(select(scenario, fixed.varying, turn), policy, state)
 
     states = _of_each_driver(init, fixed.floors, drivers)(fixed.policy, states, index)
-    steps, faulty = jnp.zeros(index.shape, jnp.int32), jnp.zeros(index.shape, bool)  # (B,)
+    steps = jnp.zeros(index.shape, jnp.int32)  # (B,)
+    faulty = jnp.zeros(index.shape, bool)
     return LoopState(states, steps, faulty, record.init(fixed.floors, states))
 
 
@@ -489,10 +500,13 @@ def _advance(
         before, steps, faulty = carry
         states, actions = _step(record, drivers, fixed, before, index)
         active = _active(before, counted)
-        return (states, steps + active.astype(jnp.int32), faulty | (~_sound(states) & active)), actions
+        steps = steps + active.astype(jnp.int32)
+        faulty = faulty | (~_sound(states) & active)
+        return (states, steps, faulty), actions
 
     def advance_row(running: LoopState, _: None) -> tuple[LoopState, PyTree]:
-        before, active = running.states, _active(running.states, counted)
+        before = running.states
+        active = _active(running.states, counted)
         carry = before, running.steps, running.faulty
         if record.every == 1:
             (states, steps, faulty), actions = tick(carry, None)
@@ -561,9 +575,12 @@ def _once(advance_row: Callable, running: LoopState, counted: Array) -> tuple[Lo
 
 def _sound(states: State) -> Array:
     """(B,) bool: places and velocities are finite."""
-    people, robot = states.pedestrians, states.robot
-    moving = jnp.isfinite(people.velocity).all((1, 2)) & jnp.isfinite(robot.speed) & jnp.isfinite(robot.heading).all(-1)
-    return moving & jnp.isfinite(people.position).all((1, 2)) & jnp.isfinite(robot.position).all(-1)
+    people = states.pedestrians
+    robot = states.robot
+    sound = jnp.isfinite(people.velocity).all((1, 2)) & jnp.isfinite(robot.speed)
+    sound = sound & jnp.isfinite(robot.heading).all(-1)
+    sound = sound & jnp.isfinite(people.position).all((1, 2))
+    return sound & jnp.isfinite(robot.position).all(-1)
 
 
 @contextlib.contextmanager

@@ -237,7 +237,8 @@ def _scenario(plan: ScenarioPlan, robot: RobotModel, folder: Path) -> Scenario:
     walking = navigation.build(scene, PERSON_CLEARANCE)
     driving = walking if radius <= PERSON_CLEARANCE else navigation.build(scene, radius)
     draw = navigation.PLACES[config.goal_sampling]
-    walking, driving = draw(scene, walking), draw(scene, driving)
+    walking = draw(scene, walking)
+    driving = draw(scene, driving)
 
     place = behaviors.Place(folder, scene, walking, config.time_step)
     behavior = behavior_of(plan, place)
@@ -273,7 +274,8 @@ def behavior_of(plan: ScenarioPlan, place: behaviors.Place) -> Behavior:
     Raises:
         InputError: the files of the place or the options have a mistake.
     """
-    component, behavior = plan.config.behavior, plan.behavior
+    component = plan.config.behavior
+    behavior = plan.behavior
     if component.kind in behaviors.BEHAVIORS:
         options = {name: value for name, value in component if name != "kind" and value is not None}
         behavior = behavior(place, plan.config.people, **options)

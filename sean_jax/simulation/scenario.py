@@ -222,7 +222,8 @@ def finish(scenario: Scenario, before: State, after: State) -> State:
 
 def snapshot(scenario: Scenario, state: State) -> Snapshot:
     """What situations and metrics read of a state."""
-    robot, task = state.robot, state.task
+    robot = state.robot
+    task = state.task
     return Snapshot(
         people=state.pedestrians,
         position=robot.position,
@@ -267,7 +268,8 @@ def results(scenario: Scenario, state: State) -> dict[str, Array]:
 
 def observe(scenario: Scenario, state: State) -> Observation:
     """The robot's observation in its own frame; separate from the step, which does not need it."""
-    robot, people = state.robot, state.pedestrians
+    robot = state.robot
+    people = state.pedestrians
     hx, hy = robot.heading[0], robot.heading[1]
 
     def in_frame(vectors: Array) -> Array:
@@ -289,7 +291,9 @@ def observe(scenario: Scenario, state: State) -> Observation:
 
 def frame(before: State, after: State, action: Array) -> Trajectory:
     """The record of a step, after the command [m/s, rad/s] that led there."""
-    robot, people, others = after.robot, after.pedestrians, None
+    robot = after.robot
+    people = after.pedestrians
+    others = None
     if after.others is not None and after.goals_of_others is not None:
         others = jnp.concatenate([after.others.position, after.others.heading, after.goals_of_others], -1)
     return Trajectory(

@@ -148,7 +148,8 @@ def plan_task(task: Component, behavior: str) -> PlannedTask:
         if task.start is None or task.goal is None:
             raise InputError("task: 'custom' needs a start and a goal; give both, x and y in metres.")
         return PlannedTask(task.kind, None, task.start, task.goal)
-    name, draw = task.label, user_parts.resolve(task, tasks.TASKS, "task")
+    name = task.label
+    draw = user_parts.resolve(task, tasks.TASKS, "task")
     if isinstance(task, Named):
         _check_offer(name, draw, behavior)
     if not callable(draw):

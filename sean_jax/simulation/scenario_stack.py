@@ -41,7 +41,8 @@ class Stack(Generic[T]):
         """The stack of some members, in that order."""
         names = tuple(self.names[k] for k in index) if self.names else ()
         own = {leaf: values[jnp.asarray(index)] for leaf, values in self.own.items()}
-        return replace(self, member=select(self.member, own, 0), own=own, size=len(index), names=names)
+        first = select(self.member, own, 0)
+        return replace(self, member=first, own=own, size=len(index), names=names)
 
     def over_members(self, function: Callable[..., PyTree]) -> Callable[..., PyTree]:
         """``function(member, *values)`` of each member, with values (K, ...); results (K, ...)."""
@@ -67,17 +68,20 @@ class Stack(Generic[T]):
 
     def _split(self, rows: Array) -> Array:
         """Rows (B, ...) by member: (K, B / K, ...)."""
-        count, shape = len(rows), rows.shape[1:]
-        turn = self.turn or count // self.size
+        count, *shape = rows.shape
+        rows_of_member = count // self.size
+        turn = self.turn or rows_of_member
         turns = rows.reshape(count // turn // self.size, self.size, turn, *shape)
-        return turns.swapaxes(0, 1).reshape(self.size, count // self.size, *shape)
+        by_member = turns.swapaxes(0, 1)
+        return by_member.reshape(self.size, rows_of_member, *shape)
 
     def _join(self, rows: Array) -> Array:
         """The inverse of ``_split``."""
-        count, shape = rows.shape[1], rows.shape[2:]
+        _, count, *shape = rows.shape
         turn = self.turn or count
-        turns = rows.reshape(self.size, count // turn, turn, *shape)
-        return turns.swapaxes(0, 1).reshape(self.size * count, *shape)
+        by_member = rows.reshape(self.size, count // turn, turn, *shape)
+        turns = by_member.swapaxes(0, 1)
+        return turns.reshape(self.size * count, *shape)
 
     def paired(self, values: PyTree) -> "Stack[tuple[T, PyTree]]":
         """The stack of pairs of a member and its row of arrays (K, ...)."""
@@ -93,11 +97,15 @@ class Stack(Generic[T]):
     def with_fields(self, **fields: Any) -> "Stack":
         """The stack with other fields of the members: values for all, or a stack of K values."""
         # Leaves are marked by where they come from, to find the values of members after fields are replaced.
-        first, marks, sources = {}, {}, _by_mark("", self.own)
+        first: dict[str, Any] = {}
+        marks: dict[str, PyTree] = {}
+        sources = _by_mark("", self.own)
         for name, value in fields.items():
-            first[name] = value.member if isinstance(value, Stack) else value
-            marks[name] = _marked(name, first[name])
-            sources |= _by_mark(name, value.own if isinstance(value, Stack) else {})
+            if isinstance(value, Stack):
+                sources |= _by_mark(name, value.own)
+                value = value.member
+            first[name] = value
+            marks[name] = _marked(name, value)
         leaves = jax.tree.leaves(replace(_marked("", self.member), **marks))  # pyright: ignore[reportArgumentType]
         own = {index: sources[mark] for index, mark in enumerate(leaves) if mark in sources}
         return replace(self, member=replace(self.member, **first), own=own)  # pyright: ignore
@@ -135,8 +143,9 @@ def of_arrays(values: PyTree) -> Stack:
 
 def as_stacks(scenarios: Scenario | Stack[Scenario] | Sequence[Scenario | Stack[Scenario]]) -> list[Stack[Scenario]]:
     """The stacks of scenarios that take turns; a scenario has one floor."""
-    several = [scenarios] if isinstance(scenarios, Scenario | Stack) else scenarios
-    return [each if isinstance(each, Stack) else Stack(each, {}) for each in several]
+    if isinstance(scenarios, Scenario | Stack):
+        scenarios = [scenarios]
+    return [part if isinstance(part, Stack) else Stack(part, {}) for part in scenarios]
 
 
 def stack(members: Sequence[T], names: tuple[str, ...] = ()) -> Stack[T]:
@@ -163,7 +172,9 @@ def stack(members: Sequence[T], names: tuple[str, ...] = ()) -> Stack[T]:
 
 def _stacked(leaves: Sequence[Any]) -> Any:
     """Arrays of the host stacked there and copied to the device; others on the device."""
-    return _on_device(np.stack(leaves)) if isinstance(leaves[0], np.ndarray) else jnp.stack(leaves)
+    if isinstance(leaves[0], np.ndarray):
+        return _on_device(np.stack(leaves))
+    return jnp.stack(leaves)
 
 
 def _on_device(array: Any) -> Any:
@@ -181,13 +192,18 @@ def with_common_shapes(scenarios: Sequence[Scenario], name: str) -> list[Scenari
     """
     people = max(scenario.people for scenario in scenarios)
     equal = all(scenario.people == people for scenario in scenarios)
-    sizes = common_sizes(replace(scenario, robot=()) for scenario in scenarios)  # robots have their own sizes
+
+    # Robots have their own sizes.
+    without_robots = (replace(scenario, robot=()) for scenario in scenarios)
+    sizes = common_sizes(without_robots)
     sizes["Tables", "P"] = max(people, sizes.get(("Tables", "P"), 0))
     padded = []
     for scenario in scenarios:
-        behavior, graph = scenario.behavior, graph_of(scenario)
+        behavior = scenario.behavior
+        graph = graph_of(scenario)
         if graph is not None:
-            behavior = replace(behavior, data=replace(behavior.data, graph=replace(graph, names=())))
+            data = replace(behavior.data, graph=replace(graph, names=()))
+            behavior = replace(behavior, data=data)
         present = scenario.people_present
         if not equal and present is None:
             present = np.asarray(scenario.people, np.int32)
@@ -199,5 +215,6 @@ def with_common_shapes(scenarios: Sequence[Scenario], name: str) -> list[Scenari
             people=people,
             people_present=present,  # pyright: ignore[reportArgumentType]
         )
-        padded.append(replace(pad(others, sizes), robot=scenario.robot))
+        others = pad(others, sizes)
+        padded.append(replace(others, robot=scenario.robot))
     return join_tables(padded)

@@ -14,7 +14,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float, PyTree
+from jaxtyping import Float, Int, PyTree
 
 from sean_jax import metrics
 from sean_jax.core import random_streams
@@ -36,12 +36,14 @@ def of_scenarios(members: Stack[Scenario]) -> Stack[Scenario]:
     Raises:
         InputError: there are too many robots, or MJX moves one.
     """
-    robots, first = members.size, members.member
+    robots = members.size
+    first = members.member
     if robots > MAX_ROBOTS:
         raise InputError(f"robots: {robots} are more than {MAX_ROBOTS}; give fewer.")
     if jax.tree.leaves(first.robot.data):
         raise InputError("dynamics: MJX moves one robot in a program, not a team; choose twin or kinematic.")
-    models = models_of_others(members.over_members(lambda member: member.robot)(), robots)
+    every_robot = members.over_members(lambda member: member.robot)()
+    models = models_of_others(every_robot, robots)
     indices = of_arrays(jnp.arange(robots, dtype=jnp.int32))
 
     # Metrics of teams that the scenario does not have yet.
@@ -61,8 +63,10 @@ def reset(team: Stack[Scenario], key: Array) -> State:
         key: () typed PRNG key, the source of all randomness of the episode.
     """
     first = scenario.reset(team.member, key)
-    robots, radii = team.size, _radii(team)
-    starts = jnp.zeros((robots, 2), first.robot.position.dtype).at[0].set(first.task.start)  # (M, 2)
+    robots = team.size
+    radii = _radii(team)
+    starts = jnp.zeros((robots, 2), first.robot.position.dtype)
+    starts = starts.at[0].set(first.task.start)
     robot_key = jax.random.fold_in(key, random_streams.TEAM)
 
     # A task of each further robot, in order, as it depends on the starts before it.
@@ -83,29 +87,38 @@ def reset(team: Stack[Scenario], key: Array) -> State:
         now = scenario.snapshot(member, state)
         return replace(state, metrics={name: metric.init(now) for name, metric in member.metrics})
 
-    return team.over_members(init_metrics)(meet(jax.vmap(share)(states)))
+    states = meet(jax.vmap(share)(states))
+    return team.over_members(init_metrics)(states)
 
 
 def _begin_clear(
-    team: Stack[Scenario], radii: Float[Array, "M"], among: State, robot_key: Array, starts: Array, index: Array
-) -> tuple[Array, State]:
-    """The starts (M, 2) with that of a robot, clear of those before it if a draw is; and its first state."""
+    team: Stack[Scenario],
+    radii: Float[Array, "M"],
+    among: State,
+    robot_key: Array,
+    starts: Float[Array, "M 2"],
+    index: Int[Array, ""],
+) -> tuple[Float[Array, "M 2"], State]:
+    """The starts with that of a robot, clear of those before it if a draw is; and its first state."""
     member = jax.lax.stop_gradient(team.at(index))
     own_key = jax.random.fold_in(robot_key, index)
     earlier = jnp.arange(team.size, dtype=jnp.int32) < index  # (M,)
 
     def draw(carry: tuple[Array, Array, State]) -> tuple[Array, Array, State]:
-        attempt = carry[0]
+        attempt, _, _ = carry
         state = scenario.next_task(member, among, jax.random.fold_in(own_key, attempt))
         gap = starts - state.task.start[None, :]  # (M, 2)
-        near = length(gap[:, 0], gap[:, 1]) < radii + radii[index] + CLEARANCE
-        return attempt + 1, ~(near & earlier).any(), state
+        distance = length(gap[:, 0], gap[:, 1])
+        is_near = distance < radii + radii[index] + CLEARANCE
+        is_clear = ~(is_near & earlier).any()
+        return attempt + 1, is_clear, state
 
     def is_wanted(carry: tuple[Array, Array, State]) -> Array:
         attempt, is_clear, _ = carry
         return ~is_clear & (attempt < ATTEMPTS)
 
-    state = jax.lax.while_loop(is_wanted, draw, (jnp.zeros((), jnp.int32), jnp.zeros((), bool), among))[2]
+    start = jnp.zeros((), jnp.int32), jnp.zeros((), bool), among
+    _, _, state = jax.lax.while_loop(is_wanted, draw, start)
     return starts.at[index].set(state.task.start), state
 
 
@@ -118,7 +131,8 @@ def step(team: Stack[Scenario], states: State, actions: Float[Array, "M command"
     """
     # People are moved once, among the bodies of all robots.
     first = jax.tree.map(lambda leaf: leaf[0], states)
-    crowd = replace(team.member, robot=replace(team.member.robot, radius=_radii(team)))
+    robots = replace(team.member.robot, radius=_radii(team))
+    crowd = replace(team.member, robot=robots)
     moved = replace(first, robot=states.robot, others=None)
     key = jax.random.fold_in(first.streams.people, first.tick)
     moved = scenario.direct_pedestrians(crowd, moved, key)
@@ -220,7 +234,8 @@ class _OfEach:
         if self.name == "init":
             pairs = zip(self.policies, params, strict=True)
             return tuple(policy.init(scenario, own_params, state) for policy, own_params in pairs)
-        actions, memories = [], []
+        actions = []
+        memories = []
         for policy, own_params, memory in zip(self.policies, params, state.policy_state, strict=True):
             own_state = replace(state, policy_state=memory)
             action, memory = policy.apply(scenario, own_params, own_state, *key)

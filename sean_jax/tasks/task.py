@@ -57,7 +57,8 @@ def check_requirement(scenario: Scenario) -> None:
     needed = requirement(scenario.task)
     if needed is None:
         return
-    behavior, name = scenario.behavior, scenario.task_name
+    behavior = scenario.behavior
+    name = scenario.task_name
     if needed.offer not in behavior.offers:
         what = {"groups": "a group", "handcrafted_sets": "handcrafted sets"}.get(needed.offer, needed.offer)
         raise InputError(

@@ -27,7 +27,8 @@ HERE = Path(__file__).resolve().parents[1]
 # Beside the package in a checkout, inside it once installed.
 ENVS: Path = next((path for path in (HERE / "envs", HERE.parent / "envs") if path.is_dir()), HERE / "envs")
 
-SETTINGS, SCENE = "environment.yaml", "scene.xml"
+SETTINGS = "environment.yaml"
+SCENE = "scene.xml"
 ANNOTATIONS = "graph.yaml", "handcrafted.yaml"  # which some behaviors read
 TILT_TOLERANCE = 1e-4  # maximum deviation of the cosine of a box's tilt from 1
 MAX_BOTTOM = 0.05  # m above the floor, for the bottom of a box
@@ -41,7 +42,8 @@ FLOOR = ((0.78, 0.78, 0.76), (0.74, 0.74, 0.72))
 SKY = ((0.55, 0.70, 0.88), (0.92, 0.95, 0.97))
 SUN = (0.35, -0.25, 0.9)
 SQUARE = 1.0  # m
-LOWEST_CEILING, HIGHEST_CEILING = 1.8, 100.0  # m; people are 1.73 m tall
+LOWEST_CEILING = 1.8  # m; people are 1.73 m tall
+HIGHEST_CEILING = 100.0  # m
 PATTERN_OF = {"wall": "wall", "shelf": "shelf", "rack": "shelf", "facade": "facade"}
 """First word of the name of a material, or of a geom without one -> its pattern."""
 
@@ -117,8 +119,12 @@ def of_boxes(settings: Settings, boxes: Float[np.ndarray, "W 6"], looks: Scenery
     if not settings.open:
         boxes = np.concatenate([boxes, _edges(boxes, settings.floor)])
     floor = to_device(np.array(settings.floor))
-    obstacles = Obstacles(*to_device((boxes[:, :2], boxes[:, 2:4], *boxes[:, 4:].T)))
-    looks = plain_scenery(obstacles) if looks is None else looks
+    center = boxes[:, :2]
+    half_extent = boxes[:, 2:4]
+    yaw, height = boxes[:, 4:].T
+    obstacles = Obstacles(*to_device((center, half_extent, yaw, height)))
+    if looks is None:
+        looks = plain_scenery(obstacles)
     if settings.ceiling is not None:
         looks = dataclasses.replace(looks, ceiling=to_device(np.asarray(settings.ceiling)))
     return Environment(
@@ -152,7 +158,8 @@ def write(
     geoms = []
     for index, box in enumerate(boxes):
         kind = "box" if kinds is None else kinds[index]
-        geoms.append(_geom(f"{kind}_{index + 1}", box, None if colors is None else colors[index]))
+        color = None if colors is None else colors[index]
+        geoms.append(_geom(f"{kind}_{index + 1}", box, color))
     scene = "\n".join([
         '<mujoco model="map">',
         f'  <statistic center="{middle} 0" extent="{span:g}"/>',
@@ -181,7 +188,8 @@ def write(
 def _geom(name: str, box: Sequence[float], color: Sequence[float] | None) -> str:
     """A line of MJCF: a box as in ``write``."""
     x, y, hx, hy, yaw, height = box
-    pose = f'pos="{x:.9g} {y:.9g} {height / 2:g}" size="{hx:.9g} {hy:.9g} {height / 2:g}"'
+    half_height = height / 2
+    pose = f'pos="{x:.9g} {y:.9g} {half_height:g}" size="{hx:.9g} {hy:.9g} {half_height:g}"'
     euler = f' euler="0 0 {np.rad2deg(yaw):.9g}"' if yaw else ""
     rgba = "" if color is None else f' rgba="{" ".join(f"{channel:g}" for channel in color)} 1"'
     return f'    <geom name="{name}" type="box" {pose}{euler}{rgba}/>'
@@ -207,7 +215,8 @@ def free_points(environment: Environment, radius: float, number: int, seed: int 
     tried = 0
     while missing > 0:
         places = generator.uniform(floor[:2], floor[2:], (BATCH, 2)).astype(np.float32)
-        free = places[np.minimum(*signed_distances_on_host(environment, places)) >= radius]
+        to_obstacle, to_edge = signed_distances_on_host(environment, places)
+        free = places[np.minimum(to_obstacle, to_edge) >= radius]
         batches.append(free[:missing])
         missing -= len(batches[-1])
         tried += BATCH
@@ -225,7 +234,8 @@ def _settings(folder: Path) -> Settings:
 
 def _floor_problems(settings: Settings) -> list[files.Problem]:
     x_min, y_min, x_max, y_max = settings.floor
-    wide, deep = x_max - x_min, y_max - y_min
+    wide = x_max - x_min
+    deep = y_max - y_min
     if not (wide >= MIN_FLOOR_SIDE and deep >= MIN_FLOOR_SIDE):
         fault = "empty" if min(wide, deep) <= 0 else f"{wide:g} by {deep:g} m, too narrow to walk on"
         return [(("floor",), f"{list(settings.floor)} is {fault}; give x_min, y_min, x_max, y_max in this order")]
@@ -236,7 +246,8 @@ def _floor_problems(settings: Settings) -> list[files.Problem]:
 
 def _edges(boxes: np.ndarray, floor: tuple[float, ...]) -> np.ndarray:
     """(E, 6) boxes as in ``_boxes``, without height: beyond the edges of the floor that no boxes (W, 6) cover."""
-    lower, upper = np.array(floor[:2]), np.array(floor[2:])
+    lower = np.array(floor[:2])
+    upper = np.array(floor[2:])
     middle = (lower + upper) / 2
     half = (upper - lower) / 2
     edges = []
@@ -244,35 +255,47 @@ def _edges(boxes: np.ndarray, floor: tuple[float, ...]) -> np.ndarray:
         out = np.eye(2)[axis] * side
         along = np.eye(2)[1 - axis]
         start = middle + half * (out - along)
-        if not _is_covered(start, 2 * half[1 - axis] * along, boxes):
-            center = middle + out * (half + EDGE_DEPTH)
-            extent = half * along + EDGE_DEPTH * np.array([1.0, 1.0])
-            edges.append([*center, *extent, 0.0, 0.0])
+        way = 2 * half[1 - axis] * along
+        if _is_covered(start, way, boxes):
+            continue
+        center = middle + out * (half + EDGE_DEPTH)
+        extent = half * along + EDGE_DEPTH * np.array([1.0, 1.0])
+        edges.append([*center, *extent, 0.0, 0.0])
     return np.array(edges).reshape(-1, 6)
 
 
 def _is_covered(start: Float[np.ndarray, "2"], way: Float[np.ndarray, "2"], boxes: Float[np.ndarray, "W 6"]) -> bool:
     """Whether boxes side by side cover the segment from a start along a way [m] (slab method, as for rays)."""
-    cosine, sine = np.cos(boxes[:, 4]), np.sin(boxes[:, 4])
+    yaw = boxes[:, 4]
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
     half = boxes[:, 2:4] + MAX_SEAM
     dx, dy = (start - boxes[:, :2]).T
 
     # In the frame of each box, (W, 2).
-    start = np.stack([cosine * dx + sine * dy, cosine * dy - sine * dx], -1)
-    way = np.stack([cosine * way[0] + sine * way[1], cosine * way[1] - sine * way[0]], -1)
+    start = _in_frames(cosine, sine, dx, dy)
+    way = _in_frames(cosine, sine, way[0], way[1])
 
     # The shares of the way where each box begins and ends; along a side of its frame, all or none.
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.stack([-half - start, half - start]) / way  # (2, W, 2)
+    is_along = way == 0.0
     low = np.where(np.abs(start) > half, np.inf, -np.inf)
-    first = np.where(way == 0.0, low, ends.min(0)).max(-1)
-    last = np.where(way == 0.0, -low, ends.max(0)).min(-1)
+    first = np.where(is_along, low, ends.min(0)).max(-1)
+    last = np.where(is_along, -low, ends.max(0)).min(-1)
 
     covered = 0.0
     for index in np.argsort(first):
         if first[index] <= covered:
             covered = max(covered, last[index])
     return bool(covered >= 1.0)
+
+
+def _in_frames(cosine: np.ndarray, sine: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(W, 2) vectors (x, y) in frames that are turned by angles (W,) of that cosine and sine."""
+    u = cosine * x + sine * y
+    v = cosine * y - sine * x
+    return np.stack([u, v], -1)
 
 
 def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
@@ -283,21 +306,25 @@ def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
     if not path.exists():
         raise FileError(f"{path}: there is no such file; an environment's obstacles are MJCF boxes in it.")
     model, data = _read_scene(path)
-    solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity).tolist()
-    kind = {index: mujoco.mjtGeom(model.geom_type[index]).name.removeprefix("mjGEOM_").lower() for index in solid}
+    boxes = []
     problems = []
-    for index in solid:
-        refusal = _refusal(model, data, index, kind[index])
+    for index in np.flatnonzero(model.geom_contype | model.geom_conaffinity).tolist():
+        geom_type = mujoco.mjtGeom(model.geom_type[index])
+        kind = geom_type.name.removeprefix("mjGEOM_").lower()
+        if kind == "box":
+            boxes.append(index)
+        refusal = _refusal(model, data, index, kind)
         if refusal:
             name = model.geom(index).name
             label = f"geom '{name}'" if name else f"the unnamed geom number {index + 1}"
             problems.append(f"{label} {refusal}")
-    boxes = [index for index in solid if kind[index] == "box"]
     if len(boxes) > MAX_OBSTACLES:
         problems.append(f"has {len(boxes)} boxes that can be touched; {MAX_OBSTACLES} are the most")
     if problems:
-        raise FileError("\n".join(str(files.file_error(path, problem)) for problem in problems))
+        errors = (files.file_error(path, problem) for problem in problems)
+        raise FileError("\n".join(map(str, errors)))
 
+    # The columns of the boxes.
     position = data.geom_xpos[boxes]
     half = model.geom_size[boxes]
     rotation = data.geom_xmat[boxes]
@@ -325,11 +352,13 @@ def named_boxes(path: Path) -> dict[str, tuple[tuple[float, ...], tuple[float, .
     boxes = {}
     for index in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX):
         name = model.geom(index).name
-        if name and (model.geom_contype[index] or model.geom_conaffinity[index]):
-            center = tuple(data.geom_xpos[index].tolist())
-            half = tuple(model.geom_size[index].tolist())
-            rotation = data.geom_xmat[index]
-            boxes[name] = center, half, float(np.rad2deg(np.arctan2(rotation[3], rotation[0])))
+        if not name or not (model.geom_contype[index] or model.geom_conaffinity[index]):
+            continue
+        center = tuple(data.geom_xpos[index].tolist())
+        half = tuple(model.geom_size[index].tolist())
+        rotation = data.geom_xmat[index]
+        yaw = np.arctan2(rotation[3], rotation[0])
+        boxes[name] = center, half, float(np.rad2deg(yaw))
     return boxes
 
 
@@ -337,7 +366,9 @@ def _refusal(model: Any, data: Any, index: int, kind: str) -> str:
     """Why a geom cannot be an obstacle, as a clause that follows its name; empty if it can, or is the floor."""
     tilt = data.geom_xmat[index, 8]  # cosine of the angle between its z axis and the vertical
     if kind == "plane":
-        return "" if tilt > 1 - TILT_TOLERANCE else "is a tilted plane; make the wall a box"
+        if tilt > 1 - TILT_TOLERANCE:
+            return ""
+        return "is a tilted plane; make the wall a box"
     if kind != "box":
         return f"is a {kind}; replace it by one or more boxes"
     if model.body_weldid[model.geom_bodyid[index]] != 0:
@@ -346,7 +377,8 @@ def _refusal(model: Any, data: Any, index: int, kind: str) -> str:
         return "is tilted; turn it about the vertical axis only"
     position = data.geom_xpos[index]
     half = model.geom_size[index]
-    bottom, top = position[2] - half[2], position[2] + half[2]
+    bottom = position[2] - half[2]
+    top = position[2] + half[2]
     if np.abs(position).max() > MAX_COORDINATE or half.max() > MAX_COORDINATE:
         return f"reaches farther than {MAX_COORDINATE:g} m; give metres"
     if half.min() < MIN_HALF_SIDE:
@@ -367,7 +399,9 @@ def plain_scenery(obstacles: Obstacles) -> Scenery:
     half_height = 0.5 * height
     boxes = np.column_stack([center, half_height, extent, half_height, np.cos(yaw), np.sin(yaw)])
     color = np.tile((*OBSTACLE, 0.0), (len(height), 1))
-    return _scenery(_solids(boxes, np.zeros((0, 8)), np.zeros((0, 4)), color))
+    no_cylinders = np.zeros((0, 8))
+    no_spheres = np.zeros((0, 4))
+    return _scenery(_solids(boxes, no_cylinders, no_spheres, color))
 
 
 def scenery_from_mjcf(model: Any, data: Any, obstacles: list[int]) -> Scenery:
@@ -386,8 +420,12 @@ def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
     A capsule becomes a cylinder of the same extent. Geoms of other kinds and transparent geoms are left out.
     """
     kinds = mujoco.mjtGeom
-    boxes, cylinders, spheres = [], [], []
-    box_colors, cylinder_colors, sphere_colors = [], [], []
+    boxes = []
+    cylinders = []
+    spheres = []
+    box_colors = []
+    cylinder_colors = []
+    sphere_colors = []
     for index in geoms:
         color = _color(model, index)
         if color is None:
@@ -413,9 +451,11 @@ def _color(model: Any, index: int) -> list | None:
     """Color and pattern of a geom, by its material if it has one; None if it is transparent."""
     material = model.geom_matid[index]
     if material < 0:
-        name, rgba = model.geom(index).name, model.geom_rgba[index]
+        name = model.geom(index).name
+        rgba = model.geom_rgba[index]
     else:
-        name, rgba = model.mat(material).name, model.mat_rgba[material]
+        name = model.mat(material).name
+        rgba = model.mat_rgba[material]
     if rgba[3] < 0.5:
         return None
     pattern = PATTERN_OF.get(name.split("_")[0], "plain")
@@ -423,8 +463,10 @@ def _color(model: Any, index: int) -> list | None:
 
 
 def _solids(boxes: ArrayLike, cylinders: ArrayLike, spheres: ArrayLike, color: ArrayLike) -> Solids:
-    shapes = (("boxes", boxes, 8), ("cylinders", cylinders, 8), ("spheres", spheres, 4), ("color", color, 4))
-    return Solids(**{name: to_device(np.asarray(rows, float).reshape(-1, width)) for name, rows, width in shapes})
+    def table(rows: ArrayLike, columns: int) -> Array:
+        return to_device(np.asarray(rows, float).reshape(-1, columns))
+
+    return Solids(table(boxes, 8), table(cylinders, 8), table(spheres, 4), color=table(color, 4))
 
 
 FloorLook = tuple[np.ndarray, float, float]  # (3, 3) colors, m side of a square, m width of a joint
@@ -435,7 +477,8 @@ UNPAINTED = np.array([0.5, 0.5, 0.5, 1.0])  # the color of geoms in MJCF that gi
 def _scenery(solids: Solids, floor: FloorLook = PLAIN_FLOOR, sky: ArrayLike = SKY, sun: ArrayLike = SUN) -> Scenery:
     to_sun = np.asarray(sun, float)
     to_sun = to_sun / np.linalg.norm(to_sun)
-    looks = to_device((*map(np.asarray, floor), np.zeros(()), np.asarray(sky), to_sun))
+    no_ceiling = np.zeros(())
+    looks = to_device((*map(np.asarray, floor), no_ceiling, np.asarray(sky), to_sun))
     return Scenery(solids, *looks)
 
 
@@ -447,21 +490,29 @@ def _floor_look(model: Any) -> FloorLook:
     colors = _texture(model, "2d")
     if colors is None:
         color = UNPAINTED if plane < 0 else model.geom_rgba[plane]
-        color = color if material < 0 else model.mat_rgba[material]
-        return PLAIN_FLOOR if np.allclose(color, UNPAINTED) else (np.tile(color[:3], (3, 1)), SQUARE, 0.0)
+        if material >= 0:
+            color = model.mat_rgba[material]
+        if np.allclose(color, UNPAINTED):
+            return PLAIN_FLOOR
+        return np.tile(color[:3], (3, 1)), SQUARE, 0.0
 
     # How far the texture reaches before it is repeated.
     period = 2 * SQUARE
-    half_side = model.geom_size[plane, 0] if plane >= 0 else 0.0
-    if material >= 0 and model.mat_texuniform[material]:
-        period = 1 / model.mat_texrepeat[material, 0]
-    elif material >= 0 and half_side > 0:
-        period = 2 * half_side / model.mat_texrepeat[material, 0]
+    if material >= 0:
+        repeats = model.mat_texrepeat[material, 0]
+        half_side = model.geom_size[plane, 0]
+        if model.mat_texuniform[material]:
+            period = 1 / repeats
+        elif half_side > 0:
+            period = 2 * half_side / repeats
 
+    # Two squares to a period, and joints where the texture has a mark along its edges.
+    square = period / 2
+    darkest, lightest = colors
     joint, width = _edge(model)
     if joint is None:
-        return np.array([colors[0], colors[-1], colors[-1]]), period / 2, 0.0
-    return np.array([colors[0], colors[-1], joint]), period / 2, 2 * period / width
+        return np.array([darkest, lightest, lightest]), square, 0.0
+    return np.array([darkest, lightest, joint]), square, 2 * period / width
 
 
 def _edge(model: Any) -> tuple[np.ndarray | None, int]:
@@ -469,8 +520,12 @@ def _edge(model: Any) -> tuple[np.ndarray | None, int]:
     pixels = _pixels(model, "2d")
     assert pixels is not None
     border = np.concatenate([pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]])
-    marked = (border == border[0]).all() and (pixels[1:-1, 1:-1] != border[0]).any()
-    return border[0] / 255 if marked else None, pixels.shape[1]
+    color = border[0]
+    is_mark = (border == color).all() and (pixels[1:-1, 1:-1] != color).any()
+    width = pixels.shape[1]
+    if not is_mark:
+        return None, width
+    return color / 255, width
 
 
 def _texture(model: Any, kind: str) -> np.ndarray | None:
@@ -489,9 +544,14 @@ def _texture(model: Any, kind: str) -> np.ndarray | None:
 def _pixels(model: Any, kind: str) -> np.ndarray | None:
     """(H, W, 3) pixels from 0 to 255 of the first texture of a kind."""
     texture = {"2d": mujoco.mjtTexture.mjTEXTURE_2D, "skybox": mujoco.mjtTexture.mjTEXTURE_SKYBOX}[kind]
-    for index in np.flatnonzero(model.tex_type == texture):
-        start = model.tex_adr[index]
-        shape = model.tex_height[index], model.tex_width[index], model.tex_nchannel[index]
-        pixels = model.tex_data[start : start + np.prod(shape)].reshape(shape)
-        return pixels[:, :, :3] if shape[2] >= 3 else np.repeat(pixels[:, :, :1], 3, axis=-1)  # grey
-    return None
+    indices = np.flatnonzero(model.tex_type == texture)
+    if len(indices) == 0:
+        return None
+    index = indices[0]
+    channels = model.tex_nchannel[index]
+    shape = model.tex_height[index], model.tex_width[index], channels
+    start = model.tex_adr[index]
+    pixels = model.tex_data[start : start + np.prod(shape)].reshape(shape)
+    if channels < 3:  # grey
+        return np.repeat(pixels[:, :, :1], 3, axis=-1)
+    return pixels[:, :, :3]

@@ -37,7 +37,8 @@ MAX_RESOLUTION = 0.5  # m: a larger pixel than a person leaves open neither a do
 MAX_BYTES = 100_000_000  # of an image
 MAX_CELLS = 16_000_000
 SIZE_CURE = "cut it out or lower its resolution"
-FORMATS, FORMAT_NAMES = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF"), "a PGM or PNG file"
+FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF")
+FORMAT_NAMES = "a PGM or PNG file"
 MAX_DEFAULT_PEOPLE = 60  # the default number of people of a map, at most
 
 
@@ -100,7 +101,8 @@ def _occupancy(settings: MapFile, shades: np.ndarray) -> np.ndarray:
     if settings.mode == "raw":
         return np.where(shades <= 100, shades, -1.0)
     share = shades / 255 if settings.negate else (255 - shades) / 255
-    low, high = settings.free_thresh, settings.occupied_thresh
+    low = settings.free_thresh
+    high = settings.occupied_thresh
     between = 99 * (share - low) / max(high - low, 1e-9) if settings.mode == "scale" else -1.0
     return np.where(share > high, 100.0, np.where(share < low, 0.0, between))
 
@@ -252,7 +254,8 @@ def _touches_covered(covered: np.ndarray, left: int, low: int, right: int, high:
     """(high - low, right - left) bool: cells of a box that are covered or have a covered cell around them."""
     window = covered[max(low - 1, 0) : high + 1, max(left - 1, 0) : right + 1] > 0
     around = np.zeros((high - low + 2, right - left + 2), bool)  # no copy of the whole map for each box
-    y, x = int(low == 0), int(left == 0)
+    y = int(low == 0)
+    x = int(left == 0)
     around[y : y + window.shape[0], x : x + window.shape[1]] = window
     shifts = [around[a : a + high - low, b : b + right - left] for a in range(3) for b in range(3)]
     return np.any(shifts, axis=0)
@@ -332,7 +335,8 @@ def rasterize(obstacles: Obstacles, raster: Raster) -> np.ndarray:
     inside = np.zeros((rows, columns), bool)
     boxes = (np.asarray(field, float) for field in (obstacles.center, obstacles.half_extent, obstacles.yaw))
     for (cx, cy), (hx, hy), yaw in zip(*boxes, strict=True):
-        cosine, sine = np.cos(yaw), np.sin(yaw)
+        cosine = np.cos(yaw)
+        sine = np.sin(yaw)
         reach_x = abs(cosine) * hx + abs(sine) * hy
         reach_y = abs(sine) * hx + abs(cosine) * hy
         near_y = np.abs(y - cy) < reach_y + 1e-9
@@ -364,7 +368,8 @@ def of_environment(environment: Environment, resolution: float = 0.05, height: f
     empty = np.zeros((rows, columns), bool)
     raster = Raster(empty, empty, resolution, (x0, y0))
     boxes = environment.obstacles
-    tall = (np.asarray(boxes.height) > 0.0) & (np.asarray(boxes.height) >= height - 1e-6)
+    heights = np.asarray(boxes.height)
+    tall = (heights > 0.0) & (heights >= height - 1e-6)
     occupied = rasterize(jax.tree.map(lambda field: np.asarray(field)[tall], boxes), raster)
     return dataclasses.replace(raster, occupied=occupied)
 

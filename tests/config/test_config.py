@@ -194,8 +194,11 @@ collect --environment nope | environment 'nope' is not one of; give one of them
 collect --task join_grup | 'join_grup' is not one of; did you mean
 collect --behavior playback | --behavior: playback is not recorded; choose behavior graph
 collect --task custom | --task: custom is not recorded; choose
+collect metrics=all | --metrics: nothing is measured while demonstrations are recorded; leave the option out
 collect --out file | file is a file
 collect --out full | full; --out
+bridge --rosbridge --address nohost | --address: nohost is no address and port; give one such as 127.0.0.1:9090
+bridge --rosbridge --address 127.0.0.1:70000 | --address: 127.0.0.1:70000 is no address and port
 train imitation nope | nope; sean collect
 train imitation full --learning-rate nan | --learning-rate: nan must be
 train imitation full --epochs 0 | --epochs: 0 must be
@@ -389,19 +392,30 @@ def test_the_default_task_fits_the_behavior_and_the_poses():
         ),
         ({"behavior": {"routing": "edge"}}, "behavior: {'routing': 'edge'} has no kind; there are graph, random"),
         ({"task_distance": (4.0, 2.0)}, "task_distance: (4.0, 2.0) must be a shorter and a longer distance"),
-        ({"policy": 3}, ""),
+        ({"policy": 3}, "policy: 3 is no name; give one of `sean list`, or a mapping with a kind."),
+        ({"behavior": None}, "behavior: an empty value names nothing; leave the option out for its default."),
+        ({"behavior": ["graph", "random"]}, "behavior: ['graph', 'random'] is no name; give one of `sean list`"),
+        ({"task": ["join_group", 5]}, "task: 5 is no name; give one of `sean list`"),
+        ({"forces": [{"strength": 3}]}, "forces: {'strength': 3} has no kind; give one of `sean list`."),
+        ({"time_limit": None}, "time_limit: an empty value is not a number."),
+        ({"seed": -1}, "seed: -1 must be from 0 to 4,294,967,295."),
     ],
 )
 def test_a_mistake_in_a_description_is_told_in_a_sentence(values, text):
-    if not text:
-        assert isinstance(RunConfig(**values).policy, config.Value)
-        return
     with pytest.raises(InputError) as caught:
         config.validate(RunConfig, values)
     assert str(caught.value).startswith(text)
     with pytest.raises(InputError) as caught:
         RunConfig(**values)
     assert str(caught.value).startswith(text)
+
+
+def test_names_in_a_list_are_names_with_commas_between_them():
+    """Where several names are one text."""
+    several = {"robots": ["kuri", "jackal"], "policy": ["expert", "orca"]}
+    assert config.validate(RunConfig, several) == RunConfig(robots="kuri,jackal", policy="expert,orca")
+    floors = {"environment": ["lab", "warehouse"]}
+    assert config.validate(config.PPOConfig, floors) == config.PPOConfig(environment="lab,warehouse")
 
 
 def test_names_of_other_projects_lead_to_an_option():

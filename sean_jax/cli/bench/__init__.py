@@ -109,8 +109,13 @@ def _save(folder: Path, rows: list[Measurement], setup: dict[str, Any]) -> None:
     """Write table.txt and bench.json of the rows so far; NaN becomes null."""
     lines = [title(setup), HEAD, *map(line, rows), *notes(rows, setup)]
     writing.write(folder / "table.txt", "\n".join(lines) + "\n")
-    finite = [{k: None if v != v else v for k, v in dataclasses.asdict(row).items()} for row in rows]
-    writing.write(folder / "bench.json", json.dumps({**setup, "rows": finite}, indent=2, allow_nan=False) + "\n")
+
+    finite = []
+    for row in rows:
+        values = dataclasses.asdict(row)
+        finite.append({key: None if value != value else value for key, value in values.items()})
+    content = json.dumps({**setup, "rows": finite}, indent=2, allow_nan=False)
+    writing.write(folder / "bench.json", content + "\n")
 
 
 def _prepare(options: BenchConfig) -> tuple[Stack[Scenario], dict[str, Any]]:
@@ -198,12 +203,23 @@ def steps(
 
 def images(options: BenchConfig, stack: Stack[Scenario], part: str, camera: str, what: str) -> Iterator[Measurement]:
     """Time images alone, by size of the image; those of the part ``images`` by batch as well."""
-    cases = [(batch, *IMAGE) for batch in batches(options)] if part == "images" else []
-    pixels = max(batches(options)) * IMAGE[0] * IMAGE[1] // (1 if part == "images" else 8)
-    cases += [(max(1, min(max(batches(options)), pixels // (w * h))), w, h) for w, h in SIZES]
+    most = max(batches(options))
+    pixels = most * IMAGE[0] * IMAGE[1]
+    cases: list[tuple[int, int, int]] = []
+    if part == "images":
+        cases += [(batch, *IMAGE) for batch in batches(options)]
+    else:
+        pixels //= 8
+
+    # Of larger images there are fewer at once.
+    for width, height in SIZES:
+        batch = max(1, min(most, pixels // (width * height)))
+        cases.append((batch, width, height))
+
     for size, width, height in dict.fromkeys(cases):
         some, batch = _fitting(stack, size)
-        often = int(np.clip((1e6 if on_cpu() else 1e9) / (batch * width * height), 1, 200))
+        pixels_a_run = 1e6 if on_cpu() else 1e9
+        often = int(np.clip(pixels_a_run / (batch * width * height), 1, 200))
         program = programs.images(some, camera, batch, width, height, often)
         yield _row(options, part, what, batch, stack.member.people, program, width * height)
 

@@ -132,7 +132,8 @@ def stepping(
 
 def _on_floors(mesh: Mesh, function: Callable, donate: bool = False) -> Any:
     """``jit`` of a stack's ``vmap``, as ``devices.shard_jit`` of a function of one scenario."""
-    split, whole = NamedSharding(mesh, PartitionSpec(devices.AXIS)), NamedSharding(mesh, PartitionSpec())
+    split = NamedSharding(mesh, PartitionSpec(devices.AXIS))
+    whole = NamedSharding(mesh, PartitionSpec())
 
     def on_all(stack: Stack, rows: tuple) -> Any:
         return stack.vmap(function)(*rows)
@@ -146,7 +147,8 @@ def images(stack: Stack[Scenario], name: str, batch: int, width: int, height: in
 
     The camera "depth" gives depth images, any other color images. Each floor of the stack has as many of the batch.
     """
-    scenario, stack = stack.member, replace(stack, names=())
+    scenario = stack.member
+    stack = replace(stack, names=())
     camera = sensors.camera(scenario, name, width=width, height=height)
     keys = jax.random.split(random_streams.key("bench", 0), batch)
     states = jax.jit(lambda stack, keys: stack.vmap(reset)(keys))(stack, keys)

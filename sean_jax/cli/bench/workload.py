@@ -15,7 +15,8 @@ DENSITY = 0.1  # people per m2
 
 def side(people: int) -> float:
     """Side [m] of the square hall for so many people."""
-    return float(np.sqrt(people / DENSITY))
+    area = people / DENSITY  # m2
+    return float(np.sqrt(area))
 
 
 def boxes(people: int, walls: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -29,13 +30,19 @@ def boxes(people: int, walls: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     center = [(-half, 0.0), (half, 0.0), (0.0, -half), (0.0, half)]
     extent = [(0.0, half), (0.0, half), (half, 0.0), (half, 0.0)]
 
-    rows = max(1, int(np.ceil(np.sqrt(walls - 4))))
+    # Shelves in the middles of the cells of a square lattice.
+    n_shelves = walls - 4
+    rows = max(1, int(np.ceil(np.sqrt(n_shelves))))
     shelf = min(0.5, half / rows / 4), half / rows / 3
-    for k in range(walls - 4):
-        cell = (np.array([k % rows, k // rows]) + 0.5) / rows  # from 0 to 1
-        center.append(tuple((cell * 2 - 1) * side(people) / 2))
+    for k in range(n_shelves):
+        column, row = k % rows, k // rows
+        middle = (np.array([column, row]) + 0.5) / rows  # from 0 to 1
+        place = (middle * 2 - 1) * side(people) / 2
+        center.append(tuple(place))
         extent.append(shelf)
-    yaw = np.where(np.arange(walls) < 4, 0.0, 0.1 * np.arange(walls))
+
+    index = np.arange(walls)
+    yaw = np.where(index < 4, 0.0, 0.1 * index)
     return np.array(center), np.array(extent), yaw
 
 
@@ -48,14 +55,18 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Obstacle
     Raises:
         ValueError: the people do not fit between the walls.
     """
+    # People start at places that the shelves leave free.
     random = random_streams.generator("bench", seed)
     center, half, yaw = boxes(people, walls)
-    free = _free_places(people, center[4:], half[4:], random)
-    position = free[random.permutation(len(free))[:people]]
+    shelf_center, shelf_half = center[4:], half[4:]
+    free = _free_places(people, shelf_center, shelf_half, random)
+    order = random.permutation(len(free))
+    position = free[order[:people]]
     if len(position) < people:
         raise ValueError(f"workload: {people} people do not fit between {walls} walls")
 
-    heading = -position / np.linalg.norm(position, axis=-1, keepdims=True)
+    distance = np.linalg.norm(position, axis=-1, keepdims=True)
+    heading = -position / distance
     preferred = np.clip(random.normal(1.34, 0.26, people), 0.5, 2.2)
     exact = dict(
         x=position,
@@ -87,13 +98,20 @@ def _free_places(people: int, center: np.ndarray, half: np.ndarray, random: np.r
     """Places (K, 2) [m] on a jittered grid, outside the shelves of these centers and half extents (W, 2) [m]."""
     rows = int(np.ceil(np.sqrt(4 * people)))
     cell = side(people) / rows
-    grid = (np.stack(np.meshgrid(np.arange(rows), np.arange(rows)), -1).reshape(-1, 2) + 0.5) * cell
-    jitter = random.uniform(-0.5, 0.5, grid.shape) * max(cell - 0.6, 0.0)
+    index = np.arange(rows)
+    x, y = np.meshgrid(index, index)
+    cells = np.stack([x, y], -1).reshape(-1, 2)
+    grid = (cells + 0.5) * cell  # (rows^2, 2)
+    most_jitter = max(cell - 0.6, 0.0)
+    jitter = random.uniform(-0.5, 0.5, grid.shape) * most_jitter
     places = grid - side(people) / 2 + jitter
 
-    reach = np.sqrt((half**2).sum(-1)) + 0.35
-    distance = np.linalg.norm(places[:, None] - center[None], axis=-1)
-    return places[(distance > reach[None]).all(1)]
+    # Outside the circles around the shelves, with room for a body.
+    reach = np.sqrt((half**2).sum(-1)) + 0.35  # (W,)
+    gap = places[:, None] - center[None]  # (rows^2, W, 2)
+    distance = np.linalg.norm(gap, axis=-1)
+    is_free = (distance > reach[None]).all(1)
+    return places[is_free]
 
 
 def _grid(people: int, single: dict[str, jax.Array]) -> ObstacleGrid:
@@ -105,12 +123,21 @@ def _grid(people: int, single: dict[str, jax.Array]) -> ObstacleGrid:
         height=jnp.full(len(single["yaw"]), 2.0, float),
     )
     half = side(people) / 2 + 1.0
-    return build_obstacle_grid(obstacles, jnp.asarray([-half, -half, half, half], float))
+    bounds = jnp.asarray([-half, -half, half, half], float)
+    return build_obstacle_grid(obstacles, bounds)
 
 
 def repeat(people: Pedestrians, size: int) -> Pedestrians:
     """Copies (size, N) of a crowd (N,), with velocities turned by a different angle in each copy."""
-    angle = jnp.linspace(0.0, 0.3, size, dtype=float)[:, None]
-    many = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (size, *leaf.shape)), people)
-    vx, vy = rotate(many.velocity[..., 0], many.velocity[..., 1], jnp.cos(angle), jnp.sin(angle))
-    return replace(many, velocity=jnp.stack([vx, vy], -1))
+    angle = jnp.linspace(0.0, 0.3, size, dtype=float)
+    angle = angle[:, None]  # (size, 1)
+
+    def copies(leaf: jax.Array) -> jax.Array:
+        return jnp.broadcast_to(leaf, (size, *leaf.shape))
+
+    many = jax.tree.map(copies, people)
+    vx = many.velocity[..., 0]
+    vy = many.velocity[..., 1]
+    vx, vy = rotate(vx, vy, jnp.cos(angle), jnp.sin(angle))
+    velocity = jnp.stack([vx, vy], -1)
+    return replace(many, velocity=velocity)

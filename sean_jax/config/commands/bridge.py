@@ -1,5 +1,6 @@
 """The options of ``sean bridge``, and names of controllers outside of this program."""
 
+import ipaddress
 import re
 from typing import Annotated, Literal
 
@@ -13,6 +14,7 @@ from sean_jax.config.scenario_options import ScenarioConfig
 TRANSPORTS = ("ros1", "rosbridge", "dds")
 """Ways to a robot's controller outside of this program."""
 
+LOCALHOST = "127.0.0.1"
 
 ROS_NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9]){0,62}", re.ASCII)
 """A name in ROS 1 and ROS 2: a letter, then letters, digits and single underscores."""
@@ -22,6 +24,19 @@ def outside(policy: Component) -> tuple[str, str] | None:
     """Transport and place of a controller outside of this program: "rosbridge:127.0.0.1:9090", "ros1:", "dds:0"."""
     transport, colon, place = policy.kind.partition(":")
     return (transport, place) if colon and transport in TRANSPORTS else None
+
+
+def host_and_port(address: str) -> tuple[str, int]:
+    """The host and the port of ADDRESS:PORT; ValueError if it is none."""
+    host, _, port = address.rpartition(":")
+    host = {"localhost": LOCALHOST, "": LOCALHOST}.get(host, host.strip("[]"))
+    try:
+        ipaddress.ip_address(host)
+        if not 0 <= int(port) < 65_536:
+            raise ValueError
+    except ValueError:
+        raise ValueError(f"{address} is no address and port; give one such as {LOCALHOST}:9090") from None
+    return host, int(port)
 
 
 class BridgeConfig(ScenarioConfig):
@@ -54,6 +69,12 @@ class BridgeConfig(ScenarioConfig):
     seed: option_types.Seed = 0
     """The same seed gives the same episodes, which are the episodes of sean run."""
     quiet: option_types.Quiet = False
+
+    @pydantic.field_validator("address")
+    @classmethod
+    def _check_address(cls, value: str) -> str:
+        host_and_port(value)
+        return value
 
     @pydantic.field_validator("node_name")
     @classmethod

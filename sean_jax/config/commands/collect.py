@@ -41,6 +41,13 @@ class CollectConfig(ScenarioConfig):
     same options is resumed."""
     quiet: option_types.Quiet = False
 
+    @pydantic.field_validator("metrics", mode="before")
+    @classmethod
+    def _no_metrics(cls, value: object) -> object:
+        if value not in (None, "none", [], ["none"], ()):
+            raise ValueError("nothing is measured while demonstrations are recorded; leave the option out")
+        return ()
+
     @pydantic.model_validator(mode="after")
     def _check_recorded(self) -> "CollectConfig":
         if self.width * self.height > option_types.MAX_PIXELS:

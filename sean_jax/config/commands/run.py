@@ -15,7 +15,7 @@ from sean_jax.core.messages import listed
 class RunConfig(ScenarioConfig):
     """Simulate a batch of episodes and write a table, a report and an animation. `sean list` names the choices."""
 
-    policy: Part = Named(kind="go_to_goal")
+    policy: Annotated[Part, pydantic.BeforeValidator(option_types.join_names)] = Named(kind="go_to_goal")
     """Policy of the robot: a name, or a folder of `sean train` or `sean export agent`."""
     robots: Annotated[option_types.Text | None, pydantic.BeforeValidator(option_types.join_names)] = None
     """Several robots at once, each with its own task, separated by commas, such as kuri,kuri; without it, one robot.

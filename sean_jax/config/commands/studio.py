@@ -20,7 +20,7 @@ class StudioConfig(ScenarioConfig):
     """The same seed gives the same episodes."""
     warm_up: option_types.Duration = 5.0
     """Seconds for which people walk before a task begins."""
-    record: Annotated[Path | None, Option(affects_results=False)] = None
+    record: option_types.Out = None
     """Folder for recorded drives: their commands in trials/, and demonstrations for `sean train imitation`."""
     demonstrations: Annotated[Literal["person", "all"], Option(affects_results=False)] = "person"
     """Steps of recorded drives that become demonstrations: those that a person drove in completed drives, or `all`,

@@ -96,7 +96,7 @@ class ReinforcementConfig(EnvConfig):
 
     method: Annotated[str, METHOD]
     """Method."""
-    environment: option_types.Names = "warehouse"
+    environment: Annotated[option_types.Names, pydantic.BeforeValidator(option_types.join_names)] = "warehouse"
     """Physical environment: a name, the folder of your own or of many, or generated floors such as
     worlds:rooms,aisles:512; several, separated by commas, share the scenarios, and one agent learns in all of them."""
     critic: Annotated[tuple[Component, ...], Family((Named,), "critic_term")] = ()

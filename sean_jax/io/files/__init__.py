@@ -242,6 +242,14 @@ def read_yaml(path: Path) -> tuple[yaml.Node, Any]:
         raise file_error(path, f"is not YAML: {error}", *place) from None
 
 
+def parse_yaml(text: str) -> Any:
+    """The value of a YAML text that the user types; ValueError if it is none."""
+    try:
+        return _Loader(text).get_single_data()
+    except yaml.YAMLError as error:
+        raise ValueError(str(error)) from None
+
+
 def _yaml_error(path: Path, error: yaml.MarkedYAMLError) -> FileError:
     """The error of PyYAML in one sentence, at its place in the file."""
     mark = error.problem_mark or error.context_mark

@@ -43,7 +43,8 @@ def fit_motion(
     Source: SEAN 2.0's classifiers, which fit a line to a person's last poses.
     """
     # Sums over the times of 1, t and t^2, of the offsets x, and of t x.
-    count, first, second, value, product = (jnp.zeros((), position.dtype),) * 5
+    zero = jnp.zeros((), position.dtype)
+    count, first, second, value, product = zero, zero, zero, zero, zero
     for shift in range(-window, window + 1):
         weight = _shifted(present, shift, False).astype(position.dtype)
         offset = (_shifted(position, shift, 0.0) - position) * weight[..., None]
@@ -55,9 +56,13 @@ def fit_motion(
 
     determinant = count * second - first * first
     usable = present & (determinant > 0.5)  # it is a whole number
-    inverse = jnp.where(usable, 1.0 / jnp.where(usable, determinant, 1.0), 0.0)[..., None]
-    slope = (count[..., None] * product - first[..., None] * value) * inverse
-    middle = (second[..., None] * value - first[..., None] * product) * inverse
+    divisor = jnp.where(usable, determinant, 1.0)
+    inverse = jnp.where(usable, 1.0 / divisor, 0.0)
+
+    # The sums of times are scalars, those of offsets are vectors.
+    count, first, second, inverse = (values[..., None] for values in (count, first, second, inverse))
+    slope = (count * product - first * value) * inverse
+    middle = (second * value - first * product) * inverse
     return position + middle, slope / time_step
 
 
@@ -66,7 +71,8 @@ def headings(velocity: Float[Array, "T N 2"], present: Bool[Array, "T N"]) -> Fl
 
     People who never move faster than ``STILL`` look along x.
     """
-    speed = jnp.sqrt(jnp.maximum((velocity * velocity).sum(-1), 1e-12))
+    square = (velocity * velocity).sum(-1)
+    speed = jnp.sqrt(jnp.maximum(square, 1e-12))
     moving = present & (speed > STILL)
     direction = jnp.where(moving[..., None], velocity / speed[..., None], 0.0)
 
@@ -78,11 +84,15 @@ def headings(velocity: Float[Array, "T N 2"], present: Bool[Array, "T N"]) -> Fl
     unknown = jnp.zeros_like(direction[0])
     _, forward = jax.lax.scan(carry_on, unknown, (moving, direction))
     _, backward = jax.lax.scan(carry_on, unknown, (moving, direction), reverse=True)
-    has_moved = (forward * forward).sum(-1, keepdims=True) > 0.5
-    direction = jnp.where(has_moved, forward, backward)
-    ever_moves = (direction * direction).sum(-1, keepdims=True) > 0.5
+    direction = jnp.where(_is_known(forward), forward, backward)
+    ever_moves = _is_known(direction)
     along_x = jnp.zeros_like(direction).at[..., 0].set(1.0)
     return jnp.where(ever_moves, direction, along_x)
+
+
+def _is_known(direction: Float[Array, "T N 2"]) -> Bool[Array, "T N 1"]:
+    """Whether a direction is a unit vector, not zero."""
+    return (direction * direction).sum(-1, keepdims=True) > 0.5
 
 
 def motion_between_rows(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
@@ -97,10 +107,13 @@ def motion_between_rows(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
     velocity = np.zeros_like(position)
     heading = np.zeros_like(position)
     absent = np.zeros((1, present.shape[1]), bool)
-    change = np.diff(np.concatenate([absent, present, absent]).astype(np.int8), axis=0)
+    padded = np.concatenate([absent, present, absent])
+    change = np.diff(padded.astype(np.int8), axis=0)  # 1 where somebody comes, -1 where somebody leaves
     for n, column in enumerate(change.T):
         before = 0
-        for begin, end in zip(np.flatnonzero(column > 0), np.flatnonzero(column < 0), strict=True):
+        begins = np.flatnonzero(column > 0)
+        ends = np.flatnonzero(column < 0)
+        for begin, end in zip(begins, ends, strict=True):
             steps = np.diff(position[begin:end, n], axis=0) / tracks.time_step
             if len(steps):
                 velocity[begin:end, n] = np.concatenate([steps[:1], steps])
@@ -116,7 +129,8 @@ def _last_directions(velocity: np.ndarray) -> np.ndarray:
     fast = np.flatnonzero(speed > STILL)
     if not len(fast):
         return np.tile([1.0, 0.0], (len(velocity), 1))
-    latest = np.searchsorted(fast, np.arange(len(velocity)), side="right") - 1
+    rows = np.arange(len(velocity))
+    latest = np.searchsorted(fast, rows, side="right") - 1
     index = fast[np.maximum(latest, 0)]
     return velocity[index] / speed[index, None]
 
@@ -125,8 +139,11 @@ def _shifted(rows: Shaped[Array, "T ..."], shift: int, fill: float | bool) -> Sh
     """The rows ``shift`` later, ``fill`` beyond the ends."""
     if shift == 0:
         return rows
-    filling = jnp.full((min(abs(shift), rows.shape[0]), *rows.shape[1:]), fill, rows.dtype)
-    return jnp.concatenate([rows[shift:], filling] if shift > 0 else [filling, rows[:shift]])
+    n_filling = min(abs(shift), len(rows))
+    filling = jnp.full((n_filling, *rows.shape[1:]), fill, rows.dtype)
+    if shift > 0:
+        return jnp.concatenate([rows[shift:], filling])
+    return jnp.concatenate([filling, rows[:shift]])
 
 
 def snapshots_of(
@@ -147,9 +164,11 @@ def snapshots_of(
     people = _people(tracks)
     group = tracks.group if group is None else group
     recorded = tracks.present[:, index]
-    others = replace(people, present=people.present & (everybody != index)[None, :])
-    robot_motion = people.position[:, index], people.velocity[:, index], people.heading[:, index]
-    return _snapshots(tracks, others, group, group[:, index], *robot_motion, recorded, None), recorded
+    is_other = everybody != index
+    others = replace(people, present=people.present & is_other[None, :])
+    motion = people.position[:, index], people.velocity[:, index], people.heading[:, index]
+    snapshots = _snapshots(tracks, others, group, group[:, index], *motion, recorded, None)
+    return snapshots, recorded
 
 
 def snapshots_along(
@@ -166,7 +185,8 @@ def snapshots_along(
     heading = headings(velocity, present)[:, 0]
     nobody = jnp.full(path.shape[:1], -1, jnp.int32)
     motion = path, velocity[:, 0], heading
-    return _snapshots(tracks, _people(tracks, window), tracks.group, nobody, *motion, present[:, 0], obstacles)
+    people = _people(tracks, window)
+    return _snapshots(tracks, people, tracks.group, nobody, *motion, present[:, 0], obstacles)
 
 
 def _people(tracks: Tracks, window: int = 2) -> Pedestrians:
@@ -174,7 +194,8 @@ def _people(tracks: Tracks, window: int = 2) -> Pedestrians:
     position, velocity = fit_motion(tracks.position, tracks.present, tracks.time_step, window)
     speed = length(velocity[..., 0], velocity[..., 1])
     count = jnp.maximum(tracks.present.sum(0, dtype=jnp.int32), 1)
-    mean_speed = jnp.where(tracks.present, speed, 0.0).sum(0) / count.astype(speed.dtype)
+    total_speed = jnp.where(tracks.present, speed, 0.0).sum(0)
+    mean_speed = total_speed / count.astype(speed.dtype)
     nobody = jnp.full(tracks.present.shape, -1, jnp.int32)
     return Pedestrians(
         position=position,
@@ -213,18 +234,23 @@ def _snapshots(
     group_at_goal = robot_group[last]
 
     # Numbers of groups may change from row to row, so the people of the first and last group carry the name.
-    with_start = (group_at_start >= 0) & (group[first] == group_at_start)  # (N,)
-    with_goal = (group_at_goal >= 0) & (group[last] == group_at_goal)
-    name = jnp.where(with_goal, GOAL_GROUP, jnp.where(with_start, START_GROUP, -1)).astype(jnp.int32)
+    starts_in_group = group_at_start >= 0
+    ends_in_group = group_at_goal >= 0
+    with_start = starts_in_group & (group[first] == group_at_start)  # (N,)
+    with_goal = ends_in_group & (group[last] == group_at_goal)
+    name = jnp.where(with_start, START_GROUP, -1)
+    name = jnp.where(with_goal, GOAL_GROUP, name).astype(jnp.int32)
     named_group = jnp.where(group >= 0, name[None, :], -1)  # (T, N)
 
     # Start and goal with the same people are one group: the robot neither leaves it nor joins it.
-    unchanged = (group_at_start >= 0) & (group_at_goal >= 0) & (with_start == with_goal).all()
-    start_group = jnp.where(group_at_start >= 0, jnp.where(unchanged, GOAL_GROUP, START_GROUP), -1)
-    goal_group = jnp.where(group_at_goal >= 0, GOAL_GROUP, -1)
+    unchanged = starts_in_group & ends_in_group & (with_start == with_goal).all()
+    name_of_start = jnp.where(unchanged, GOAL_GROUP, START_GROUP)
+    start_group = jnp.where(starts_in_group, name_of_start, -1)
+    goal_group = jnp.where(ends_in_group, GOAL_GROUP, -1)
 
     # A recording has no task and often no map: start and goal are the ends, and the way between is straight.
-    start, goal = position[first], position[last]
+    start = position[first]
+    goal = position[last]
     straight = length(goal[0] - start[0], goal[1] - start[1])
 
     def always(value: Array) -> Array:

@@ -35,18 +35,24 @@ PERSON_HEIGHT = HEAD + HEAD_RADIUS  # m
 
 def nearest(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
     """The distance [m] along each ray to the first body, ``MISS`` without one."""
-    return by_platform(partial(_nearest_of_all, rays), partial(_in_a_kernel, rays, 1))(view)[0]
+    loops = partial(_nearest_of_all, rays)
+    on_gpu = partial(_in_a_kernel, rays, 1)
+    (distance,) = by_platform(loops, on_gpu)(view)
+    return distance
 
 
 def search(view: View, rays: Rays) -> tuple[Float[Array, "tiles rays"], Int[Array, "tiles rays"]]:
     """The distance [m] along each ray to the first body, ``MISS`` without one; and its number in the view."""
-    return by_platform(partial(_first_of_all, rays), partial(_in_a_kernel, rays, 2))(view)
+    loops = partial(_first_of_all, rays)
+    on_gpu = partial(_in_a_kernel, rays, 2)
+    return by_platform(loops, on_gpu)(view)
 
 
 def search_behind(view: View, rays: Rays) -> tuple[Array, Array, Array, Array]:
     """Distances [m] and numbers of ``search``, then those of the first body that is no person; (tiles, rays) each."""
     loops = partial(_first_of_all, rays, behind=True)
-    return by_platform(loops, partial(_in_a_kernel, rays, 4))(view)
+    on_gpu = partial(_in_a_kernel, rays, 4)
+    return by_platform(loops, on_gpu)(view)
 
 
 def distance(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
@@ -63,7 +69,8 @@ def attach(rays: Rays, view: View, distance: Array, number: Array) -> Array:
 @attach.defjvp
 def _attach_jvp(rays: Rays, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     view, distance, number = primals
-    return distance, _surface_derivative(rays, number, (view,), (tangents[0],))
+    view_tangent, _, _ = tangents
+    return distance, _surface_derivative(rays, number, (view,), (view_tangent,))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -80,7 +87,12 @@ def _distance_jvp(rays: Rays, primals: tuple[View], tangents: tuple[View]) -> tu
 
 def _surface_derivative(rays: Rays, number: Array, primals: tuple[View], tangents: tuple[View]) -> Array:
     """(tiles, rays) change of the distance to the bodies of these numbers while the view changes."""
-    _, tangent = jax.jvp(lambda view: surface(view, rays, number)[0], primals, tangents)
+
+    def to_bodies(view: View) -> Array:
+        distance, _ = surface(view, rays, number)
+        return distance
+
+    _, tangent = jax.jvp(to_bodies, primals, tangents)
     return tangent
 
 
@@ -100,9 +112,10 @@ def _nearest_of_all(rays: Rays, view: View) -> tuple[Array]:
 def _first_of_all(rays: Rays, view: View, behind: bool = False) -> tuple[Array, ...]:
     """``search``, or ``search_behind``, in loops of XLA's, for CPUs."""
     beams = Beams.of(rays)
-    floor = _first_numbers(view)[4]
+    *_, floor = _first_numbers(view)
+    sky = floor + 1
     distance = ground(view.height, beams.direction.z, beams.inverse_rise)
-    number = jnp.where(distance < MISS, floor, floor + 1).astype(jnp.int32)
+    number = jnp.where(distance < MISS, floor, sky).astype(jnp.int32)
     hit = distance, number
     scenery_hit = hit
     for family in families(view, rays):  # people come last, so a hit of scenery is before any of theirs
@@ -110,16 +123,21 @@ def _first_of_all(rays: Rays, view: View, behind: bool = False) -> tuple[Array, 
         hit = _first(law, family.table, family.in_sight, family.start, beams, hit)
         if family.scenery:
             scenery_hit = hit
-    return (*hit, *scenery_hit) if behind else hit
+    if behind:
+        return (*hit, *scenery_hit)
+    return hit
 
 
 def _in_a_kernel(rays: Rays, results: int, view: View) -> tuple[Array, ...]:
     """``nearest`` (1 result), ``search`` (2) or ``search_behind`` (4), for GPUs."""
     double = any(leaf.dtype.itemsize > 4 for leaf in jax.tree.leaves(view))
     if double or not gpu_kernels.available():
-        return _nearest_of_all(rays, view) if results == 1 else _first_of_all(rays, view, results == 4)
-    floor = _first_numbers(view)[4]
-    return kernel.first(rays, list(families(view, rays)), view.radius, view.height, floor, results)
+        if results == 1:
+            return _nearest_of_all(rays, view)
+        return _first_of_all(rays, view, results == 4)
+    *_, floor = _first_numbers(view)
+    bodies = list(families(view, rays))
+    return kernel.first(rays, bodies, view.radius, view.height, floor, results)
 
 
 def _first_numbers(view: View) -> tuple[int, int, int, int, int]:
@@ -140,7 +158,8 @@ def families(view: View, rays: Rays) -> Iterator[BodyFamily]:
     first_box, first_cylinder, first_sphere, first_person, _ = _first_numbers(view)
     reach = _reach(view, rays)
     if len(view.boxes):
-        yield BodyFamily(first_box, view.boxes, shapes.box_distance, _boxes_in_sight(view.boxes, rays, reach))
+        in_sight = _boxes_in_sight(view.boxes, rays, reach)
+        yield BodyFamily(first_box, view.boxes, shapes.box_distance, in_sight)
 
     if len(view.cylinders):
         in_sight = _cylinders_in_sight(view.cylinders, rays, reach)
@@ -148,35 +167,44 @@ def families(view: View, rays: Rays) -> Iterator[BodyFamily]:
 
     if len(view.spheres):
         radius = view.spheres[:, 3]
-        in_sight = _round_in_sight(reach, rays, view.spheres, radius, view.spheres[:, 2] + radius)
+        top = view.spheres[:, 2] + radius
+        in_sight = _round_in_sight(reach, rays, view.spheres, radius, top)
         yield BodyFamily(first_sphere, view.spheres, shapes.sphere_distance, in_sight)
 
     if len(view.people):
         radius = jnp.broadcast_to(view.radius, view.people.shape[:1])
-        in_sight = _round_in_sight(reach, rays, view.people, radius, PERSON_HEIGHT - view.height)
-        yield BodyFamily(first_person, view.people, _person_law(rays), in_sight, scenery=False)
+        top = PERSON_HEIGHT - view.height
+        in_sight = _round_in_sight(reach, rays, view.people, radius, top)
+        law = _person_law(rays)
+        yield BodyFamily(first_person, view.people, law, in_sight, scenery=False)
 
 
 def _person_law(rays: Rays) -> shapes.ShapeLaw:
-    return shapes.low_person_distance if rays.low else shapes.person_distance
+    if rays.low:
+        return shapes.low_person_distance
+    return shapes.person_distance
 
 
 def _boxes_in_sight(boxes: Array, rays: Rays, reach: Array) -> Array:
     def extent(nx: Array, ny: Array) -> Array:  # (tiles, K) m, of each box in a direction
         u, v = to_frame(nx, ny, boxes[None, :, 6], boxes[None, :, 7])
-        return jnp.abs(u) * boxes[None, :, 3] + jnp.abs(v) * boxes[None, :, 4]
+        half_u = boxes[None, :, 3]
+        half_v = boxes[None, :, 4]
+        return jnp.abs(u) * half_u + jnp.abs(v) * half_v
 
     # From the sensor, at the origin, to the outline on the floor.
     u, v = to_frame(boxes[:, 0], boxes[:, 1], boxes[:, 6], boxes[:, 7])
     zero = jnp.zeros((), float)
     beyond_u = jnp.maximum(jnp.abs(u) - boxes[:, 3], zero)
     beyond_v = jnp.maximum(jnp.abs(v) - boxes[:, 4], zero)
+    away = length(beyond_u, beyond_v)
     top = boxes[:, 2] + boxes[:, 5]
-    return _in_sight(reach, rays, boxes, extent, length(beyond_u, beyond_v), top)
+    return _in_sight(reach, rays, boxes, extent, away, top)
 
 
 def _cylinders_in_sight(cylinders: Array, rays: Rays, reach: Array) -> Array:
-    radius, half_length = cylinders[:, 6], cylinders[:, 7]
+    radius = cylinders[:, 6]
+    half_length = cylinders[:, 7]
     over_ground = length(cylinders[:, 3], cylinders[:, 4]) * half_length  # m, of half the axis
     top = cylinders[:, 2] + jnp.abs(cylinders[:, 5]) * half_length + radius
     return _round_in_sight(reach, rays, cylinders, radius + over_ground, top)
@@ -184,8 +212,10 @@ def _cylinders_in_sight(cylinders: Array, rays: Rays, reach: Array) -> Array:
 
 def _round_in_sight(reach: Array, rays: Rays, table: Array, radius: Array, top: Array) -> Array:
     """``_in_sight`` of bodies within a radius (K,) m around their middle."""
-    away = jnp.maximum(length(table[:, 0], table[:, 1]) - radius, 0.0)
-    return _in_sight(reach, rays, table, lambda x, y: radius[None, :], away, jnp.broadcast_to(top, away.shape))
+    to_middle = length(table[:, 0], table[:, 1])
+    away = jnp.maximum(to_middle - radius, 0.0)
+    top = jnp.broadcast_to(top, away.shape)
+    return _in_sight(reach, rays, table, lambda x, y: radius[None, :], away, top)
 
 
 def _reach(view: View, rays: Rays) -> Float[Array, "tiles"]:
@@ -206,12 +236,16 @@ def _in_sight(reach: Array, rays: Rays, table: Array, extent: Callable, away: Ar
     """
     x = table[None, :, 0]
     y = table[None, :, 1]
-    possible = reach[:, None] >= away[None, :]
+    away = away[None, :]
+    possible = reach[:, None] >= away
     for normal in (rays.left, rays.right):
-        nx, ny = normal[:, :1], normal[:, 1:]
-        possible &= nx * x + ny * y + extent(nx, ny) >= 0.0
+        nx = normal[:, :1]
+        ny = normal[:, 1:]
+        farthest = nx * x + ny * y + extent(nx, ny)  # m, of the body within the sector's side
+        possible &= farthest >= 0.0
     slope_min = rays.slope_min[:, None]
-    return possible & ((slope_min <= 0.0) | (top[None, :] >= slope_min * away[None, :]))
+    lowest = slope_min * away  # m, of the tile's rays at that distance
+    return possible & ((slope_min <= 0.0) | (top[None, :] >= lowest))
 
 
 # --- loops over the bodies in sight, for CPUs ---
@@ -227,7 +261,8 @@ class Tasks(NamedTuple):
 
 def _tasks(in_sight: Array) -> Tasks:
     ends = _ends(in_sight)
-    count = (ends[:, -1].astype(jnp.int32) + (CHUNK - 1)) // CHUNK
+    bodies = ends[:, -1].astype(jnp.int32)
+    count = (bodies + (CHUNK - 1)) // CHUNK
     return Tasks(ends, count, jnp.cumsum(count))
 
 
@@ -240,7 +275,9 @@ def _nearest(law: DistanceLaw, table: Array, in_sight: Array, beams: Beams, dist
     in any order; the bits of distances, none of which is negative, have the order of the distances.
     """
     real = distance.dtype
-    whole = jnp.int64 if real == jnp.float64 else jnp.int32  # as many bits
+    whole = jnp.int32  # as many bits
+    if real == jnp.float64:
+        whole = jnp.int64
     tasks = _tasks(in_sight)
     padded = _with_spare_row(table)
     width = max(1, len(in_sight) // SHARE)  # tasks of an iteration
@@ -251,10 +288,12 @@ def _nearest(law: DistanceLaw, table: Array, in_sight: Array, beams: Beams, dist
         task = iteration * width + jnp.arange(width, dtype=jnp.int32)
         tile, new = _run_tasks(law, padded, tasks, beams, task)
         bits = jax.lax.bitcast_convert_type(new, whole)
-        return iteration + 1, nearest_bits.at[tile].min(bits, mode="drop")
+        nearest_bits = nearest_bits.at[tile].min(bits, mode="drop")
+        return iteration + 1, nearest_bits
 
     bits = jax.lax.bitcast_convert_type(distance, whole)
-    bits = jax.lax.while_loop(lambda carry: carry[0] < iterations, run, (jnp.zeros((), jnp.int32), bits))[1]
+    start = jnp.zeros((), jnp.int32), bits
+    _, bits = jax.lax.while_loop(lambda carry: carry[0] < iterations, run, start)
     return jax.lax.bitcast_convert_type(bits, real)
 
 
@@ -263,7 +302,9 @@ def _run_tasks(law: DistanceLaw, table: Array, tasks: Tasks, beams: Beams, task:
     tiles, bodies = tasks.ends.shape
     tile = (tasks.last[None, :] <= task[:, None]).sum(1, dtype=jnp.int32)
     clipped = jnp.minimum(tile, tiles - 1)
-    begin = CHUNK * (task - (tasks.last - tasks.count)[clipped])  # rank of the task's first body in the tile
+    first_tasks = tasks.last - tasks.count  # of the tiles
+    first_task = first_tasks[clipped]
+    begin = CHUNK * (task - first_task)  # rank of the task's first body in the tile
     tile_ends = tasks.ends[clipped]
     tile_beams = beams.of_tiles(clipped)
 
@@ -272,7 +313,9 @@ def _run_tasks(law: DistanceLaw, table: Array, tasks: Tasks, beams: Beams, task:
         rank = (begin + offset).astype(tile_ends.dtype)
         body = (tile_ends <= rank[:, None]).sum(1, dtype=jnp.int32)
         distance = law(table[body].T[:, :, None], tile_beams)
-        new = jnp.minimum(new, jnp.where((body < bodies)[:, None], distance, MISS))
+        exists = (body < bodies)[:, None]
+        distance = jnp.where(exists, distance, MISS)
+        new = jnp.minimum(new, distance)
     return tile, new
 
 
@@ -293,7 +336,9 @@ def _first(law: DistanceLaw, table: Array, in_sight: Array, start: int, beams: B
         number = jnp.where(nearer, start + body[:, None], number)
         return iteration + 1, (distance, number)
 
-    return jax.lax.while_loop(lambda carry: carry[0] < iterations, test, (jnp.zeros((), jnp.int32), hit))[1]
+    start_carry = jnp.zeros((), jnp.int32), hit
+    _, hit = jax.lax.while_loop(lambda carry: carry[0] < iterations, test, start_carry)
+    return hit
 
 
 def _with_spare_row(table: Array) -> Array:
@@ -317,8 +362,10 @@ def _max_of_batch_vmap(size: int, batched: list[bool], iterations: Array) -> tup
 
 def _ends(in_sight: Array) -> Array:
     """(tiles, K) number of the first bodies in sight of a tile."""
-    small = jnp.uint8 if in_sight.shape[1] < 256 else jnp.int32  # it is read again and again
-    return jnp.cumsum(in_sight, axis=1, dtype=small)
+    dtype = jnp.int32
+    if in_sight.shape[1] < 256:  # small, for it is read again and again
+        dtype = jnp.uint8
+    return jnp.cumsum(in_sight, axis=1, dtype=dtype)
 
 
 # --- surfaces ---
@@ -329,31 +376,39 @@ def surface(view: View, rays: Rays, number: Int[Array, "tiles rays"]) -> tuple[F
 
     The distance is ``MISS`` for the sky and where rounding lets a ray miss the body.
     """
-    first = _first_numbers(view)
+    # Without a body it is the floor, whose normal points up, or the sky.
+    first_box, first_cylinder, first_sphere, first_person, floor = _first_numbers(view)
     beams = Beams.of(rays)
     distance = ground(view.height, beams.direction.z, beams.inverse_rise)
-    distance = jnp.where(number == first[4], distance, MISS)
+    distance = jnp.where(number == floor, distance, MISS)
     horizontal = jnp.zeros_like(beams.direction.x * distance)
     normal = Vector(horizontal, jnp.zeros_like(distance), jnp.ones_like(distance))
     kinds = (
-        (first[0], view.boxes, shapes.box_distance, shapes.box_normal),
-        (first[1], view.cylinders, shapes.cylinder_distance, shapes.cylinder_normal),
-        (first[2], view.spheres, shapes.sphere_distance, shapes.sphere_normal),
-        (first[3], view.people, _person_law(rays), shapes.person_normal),
+        (first_box, view.boxes, shapes.box_distance, shapes.box_normal),
+        (first_cylinder, view.cylinders, shapes.cylinder_distance, shapes.cylinder_normal),
+        (first_sphere, view.spheres, shapes.sphere_distance, shapes.sphere_normal),
+        (first_person, view.people, _person_law(rays), shapes.person_normal),
     )
     for start, table, law, normal_law in kinds:
         count = len(table)
         if not count:
             continue
-        is_kind = (number >= start) & (number < start + count)
+
+        # Rays to other kinds of bodies take any row, and keep what they have.
+        end = start + count
+        is_kind = (number >= start) & (number < end)
         index = jnp.clip(number - start, 0, count - 1)
         row = tuple(column[index] for column in table.T)
 
         to_body = law(row, beams, view.radius, view.height)
         distance = jnp.where(is_kind, to_body, distance)
-        point = along(rays, jnp.where(is_kind & (to_body < MISS), to_body, 1.0))
-        normal_there = normal_law(row, point, view.radius, view.height)
-        normal = Vector(*(jnp.where(is_kind, new, old) for new, old in zip(normal_there, normal, strict=True)))
+
+        # A point of the surface, at any finite distance where there is none.
+        to_point = jnp.where(is_kind & (to_body < MISS), to_body, 1.0)
+        point = along(rays, to_point)
+        body_normal = normal_law(row, point, view.radius, view.height)
+        components = zip(body_normal, normal, strict=True)
+        normal = Vector(*(jnp.where(is_kind, new, old) for new, old in components))
     return distance, normal
 
 
@@ -362,4 +417,5 @@ def along(rays: Rays, distance: Float[Array, "tiles rays"]) -> Vector:
     x, y, z = (distance * jnp.asarray(component, float) for component in rays.direction)
     if rays.offset is None:
         return Vector(x, y, z)
-    return Vector(x + rays.offset[0], y + rays.offset[1], z + rays.offset[2])
+    offset_x, offset_y, offset_z = rays.offset
+    return Vector(x + offset_x, y + offset_y, z + offset_z)

@@ -53,7 +53,9 @@ class KernelShape(NamedTuple):
     @property
     def ray_columns(self) -> int:
         """Numbers of a ray: direction, inverse rise and run, and the start if there is one."""
-        return 5 if self.rays.offset is None else 8
+        if self.rays.offset is None:
+            return 5
+        return 8
 
 
 def first(
@@ -76,10 +78,12 @@ def first(
     # The kernel's operands: rays, numbers of the view, then two of each family.
     operands = [_ray_table(shape), jnp.stack([radius, height])[None]]
     for family in families:
+        words = _words(family.in_sight)
         operands.append(family.table.reshape(1, -1))
-        operands.append(_words(family.in_sight).reshape(1, -1))
+        operands.append(words.reshape(1, -1))
 
-    outputs = batch(partial(_call, shape), results)(*operands)
+    call = batch(partial(_call, shape), results)
+    outputs = call(*operands)
     return tuple(output.reshape(tiles, programs * WIDTH)[:, :count] for output in outputs)
 
 
@@ -91,17 +95,20 @@ def _ray_table(shape: KernelShape) -> Array:
     tiles, width, count = columns.shape
     padding = (0, shape.programs * WIDTH - count)
     padded = np.pad(columns, ((0, 0), (0, 0), padding), mode="edge")
-    by_program = padded.reshape(tiles, width, shape.programs, WIDTH).swapaxes(1, 2)
+    by_column = padded.reshape(tiles, width, shape.programs, WIDTH)
+    by_program = by_column.swapaxes(1, 2)
     return jnp.asarray(by_program.reshape(1, -1), float)
 
 
 def _words(in_sight: Array) -> Array:
     """(tiles, words) int32, a bit for each body (tiles, K) in sight."""
     tiles, count = in_sight.shape
-    padded = jnp.pad(in_sight, ((0, 0), (0, -count % BITS))).reshape(tiles, -1, BITS)
+    padded = jnp.pad(in_sight, ((0, 0), (0, -count % BITS)))
+    padded = padded.reshape(tiles, -1, BITS)
     unsigned = np.uint32(1) << np.arange(BITS, dtype=np.uint32)
     bit = jax.lax.bitcast_convert_type(unsigned, jnp.int32)
-    return jnp.where(padded, bit[None, None, :], 0).sum(-1, dtype=jnp.int32)
+    bits = jnp.where(padded, bit[None, None, :], 0)
+    return bits.sum(-1, dtype=jnp.int32)
 
 
 def _call(shape: KernelShape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
@@ -118,13 +125,15 @@ def _kernel(shape: KernelShape, index: Callable[[int], Any], *references: Any) -
     """One program: up to ``WIDTH`` rays of one tile of one scenario."""
     from jax.experimental import pallas
 
-    scenario, program = index(0), index(1)
+    scenario = index(0)
+    program = index(1)
     scenarios = references[-1].shape[0]
     inputs = 2 + 2 * len(shape.families)
     ray_table, view, *bodies = [operand.at[row(operand, scenario, scenarios)] for operand in references[:inputs]]
     outputs = references[inputs:]
 
-    radius, height = view[0], view[1]
+    radius = view[0]
+    height = view[1]
     beams = _beams_of_program(shape, ray_table, program)
     distance = ground(height, beams.direction.z, beams.inverse_rise)
     number = shape.floor + (distance >= MISS).astype(jnp.int32)
@@ -133,7 +142,8 @@ def _kernel(shape: KernelShape, index: Callable[[int], Any], *references: Any) -
         tile_words = words.shape[0] // shape.rays.tiles
         first_word = program // shape.programs * tile_words
         test = partial(_test_body, family, table, beams, radius, height)
-        hit = jax.lax.fori_loop(0, tile_words, partial(_test_word, test, words, first_word), hit)
+        test_word = partial(_test_word, test, words, first_word)
+        hit = jax.lax.fori_loop(0, tile_words, test_word, hit)
         if family.scenery:
             scenery_hit = hit
 
@@ -155,7 +165,9 @@ def _beams_of_program(shape: KernelShape, ray_table: Any, program: Any) -> Beams
 def _test_word(test: Callable, words: Any, first_word: Any, word: Any, hit: tuple) -> tuple:
     """The first hit after the bodies of a word, which has a bit for each body in sight."""
     bits = words[first_word + word]
-    return jax.lax.while_loop(lambda carry: carry[0] != 0, partial(test, word), (bits, *hit))[1:]
+    test_body = partial(test, word)
+    _, *hit_after = jax.lax.while_loop(lambda carry: carry[0] != 0, test_body, (bits, *hit))
+    return tuple(hit_after)
 
 
 def _test_body(
@@ -166,10 +178,13 @@ def _test_body(
     body = word * BITS + (BITS - 1) - jax.lax.clz(bits & -bits)
     body_row = tuple(table[body * family.columns + column] for column in range(family.columns))
     distance = family.law(body_row, beams, radius, height)
-    return bits & (bits - 1), *_nearer(tuple(hit), distance, family.start + body)
+    other_bits = bits & (bits - 1)
+    return other_bits, *_nearer(tuple(hit), distance, family.start + body)
 
 
 def _nearer(hit: tuple[Array, ...], distance: Array, number: Any) -> tuple[Array, ...]:
-    if len(hit) == 1:
-        return (jnp.minimum(hit[0], distance),)
-    return jnp.minimum(hit[0], distance), jnp.where(distance >= hit[0], hit[1], number)
+    nearest, *numbers = hit
+    new = jnp.minimum(nearest, distance)
+    if not numbers:
+        return (new,)
+    return new, jnp.where(distance >= nearest, numbers[0], number)

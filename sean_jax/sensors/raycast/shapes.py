@@ -25,77 +25,96 @@ def _vector(row: Row, first: int) -> Vector:
 
 def _from_ray(beams: Beams, place: Vector) -> Vector:
     """A vector from the sensor as one from the start of each ray."""
-    return place if beams.offset is None else place - beams.offset
+    if beams.offset is None:
+        return place
+    return place - beams.offset
 
 
 def box_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     """Distance to an upright box, from outside (slab method)."""
     q = _from_ray(beams, _vector(row, 0))
     half = _vector(row, 3)
-    cosine, sine = row[6], row[7]
+    cosine = row[6]
+    sine = row[7]
 
     # In the box's frame a ray is between two parallel sides from (middle - inside) to (middle + inside).
     du, dv = to_frame(beams.direction.x, beams.direction.y, cosine, sine)
     inverse = Vector(_inverse(du), _inverse(dv), beams.inverse_rise)
     qu, qv = to_frame(q.x, q.y, cosine, sine)
-    middle = Vector(qu * inverse.x, qv * inverse.y, q.z * inverse.z)
-    inside = Vector(half.x * jnp.abs(inverse.x), half.y * jnp.abs(inverse.y), half.z * jnp.abs(inverse.z))
+    middle = Vector(qu, qv, q.z).scaled(inverse)
+    inside = half.scaled(Vector(*map(jnp.abs, inverse)))
 
     # It is in the box while it is between all three pairs of sides.
     enter = middle - inside
     leave = middle + inside
-    near = jnp.maximum(jnp.maximum(enter.x, enter.y), enter.z)
-    far = jnp.minimum(jnp.minimum(leave.x, leave.y), leave.z)
-    return _ahead(near <= far, near)
+    near = jnp.maximum(enter.x, enter.y)
+    near = jnp.maximum(near, enter.z)
+    far = jnp.minimum(leave.x, leave.y)
+    far = jnp.minimum(far, leave.z)
+    meets = near <= far
+    return _ahead(meets, near)
 
 
 def cylinder_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     """Distance to a cylinder along a unit vector with flat ends, from outside."""
     q = _from_ray(beams, _vector(row, 0))
     axis = _vector(row, 3)
-    radius, half_length = row[6], row[7]
+    radius = row[6]
+    half_length = row[7]
     d = beams.direction
 
-    # Across the axis the cylinder is a disc.
+    # Along the axis and across it.
     along_d = dot(axis, d)
     along_q = dot(axis, q)
     across_d = d - axis * along_d
     across_q = q - axis * along_q
+
+    # Across the axis the cylinder is a disc.
     square = dot(across_d, across_d)
-    inverse_square = jnp.where(square > 1e-12, 1.0 / jnp.where(square > 1e-12, square, 1.0), 0.0)
+    is_across = square > 1e-12
+    divisor = jnp.where(is_across, square, 1.0)
+    inverse_square = jnp.where(is_across, 1.0 / divisor, 0.0)
     middle = dot(across_q, across_d) * inverse_square
     closest = across_q - across_d * middle
-    free = radius * radius - dot(closest, closest)
+    closest_square = dot(closest, closest)
+    free = radius * radius - closest_square
     touches = free > 0.0
-    chord = _root(jnp.where(touches & (inverse_square > 0.0), free * inverse_square, 1.0))
+    leaves_disc = inverse_square > 0.0
+    chord_square = jnp.where(touches & leaves_disc, free * inverse_square, 1.0)
+    chord = _root(chord_square)
 
     # Along the axis it is a slab, as in a box. A ray along the axis never leaves the round part.
     inverse = _inverse(along_d)
-    round_part = jnp.where(inverse_square > 0.0, chord, MISS)
-    near = jnp.maximum(middle - round_part, along_q * inverse - half_length * jnp.abs(inverse))
-    far = jnp.minimum(middle + round_part, along_q * inverse + half_length * jnp.abs(inverse))
-    return _ahead(touches & (near <= far), near)
+    round_part = jnp.where(leaves_disc, chord, MISS)
+    slab_middle = along_q * inverse
+    inside = half_length * jnp.abs(inverse)
+    near = jnp.maximum(middle - round_part, slab_middle - inside)
+    far = jnp.minimum(middle + round_part, slab_middle + inside)
+    meets = touches & (near <= far)
+    return _ahead(meets, near)
 
 
 def sphere_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     """Distance to a sphere, from outside."""
-    center = _vector(row, 0)
-    return _ball(_from_ray(beams, center), row[3], beams.direction)
+    center = _from_ray(beams, _vector(row, 0))
+    radius = row[3]
+    return _ball(center, radius, beams.direction)
 
 
 def person_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     """Distance to a person: ``low_person_distance``, shoulders and head."""
     feet = _feet(row, beams, height)
-    d = beams.direction
-    shoulders = _ball(Vector(feet.x, feet.y, feet.z + SHOULDER), radius, d)
-    head = _ball(Vector(feet.x, feet.y, feet.z + HEAD), HEAD_RADIUS, d)
+    shoulders = _ball(feet.raised(SHOULDER), radius, beams.direction)
+    head = _ball(feet.raised(HEAD), HEAD_RADIUS, beams.direction)
     rounded = jnp.minimum(shoulders, head)
-    return jnp.minimum(_upright_cylinder(feet, beams, radius), rounded)
+    upright = _upright_cylinder(feet, beams, radius)
+    return jnp.minimum(upright, rounded)
 
 
 def low_person_distance(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
     """Distance to a person up to the shoulders: all that rays from below the shoulders meet if they do not rise."""
-    return _upright_cylinder(_feet(row, beams, height), beams, radius)
+    feet = _feet(row, beams, height)
+    return _upright_cylinder(feet, beams, radius)
 
 
 def _feet(row: Row, beams: Beams, height: Array) -> Vector:
@@ -110,25 +129,32 @@ def _upright_cylinder(q: Vector, beams: Beams, radius: Array) -> Array:
     middle = (q.x * d.x + q.y * d.y) * beams.inverse_run
     x = q.x - middle * d.x
     y = q.y - middle * d.y
-    free = radius * radius - (x * x + y * y)
+    closest_square = x * x + y * y
+    free = radius * radius - closest_square
     touches = (free > 0.0) & (beams.inverse_run > 0.0)
-    side = middle - _root(jnp.where(touches, free * beams.inverse_run, 1.0))
-    return jnp.where(touches & (side > 0.0) & (side * d.z - q.z <= SHOULDER), side, MISS)
+    chord_square = jnp.where(touches, free * beams.inverse_run, 1.0)
+    side = middle - _root(chord_square)
+    up = side * d.z - q.z
+    meets = touches & (side > 0.0) & (up <= SHOULDER)
+    return jnp.where(meets, side, MISS)
 
 
 def _ball(q: Vector, radius: Array | float, d: Vector) -> Array:
     """Distance to the sphere at q."""
     middle = dot(q, d)
     closest = q - d * middle
-    free = radius * radius - dot(closest, closest)
+    closest_square = dot(closest, closest)
+    free = radius * radius - closest_square
     touches = free > 0.0
-    distance = middle - _root(jnp.where(touches, free, 1.0))
+    chord_square = jnp.where(touches, free, 1.0)
+    distance = middle - _root(chord_square)
     return _ahead(touches, distance)
 
 
 def _ahead(meets: Array, distance: Array) -> Array:
     """The distance where a ray meets the body ahead of its start, else ``MISS``."""
-    return jnp.where(meets & (distance > 0.0), distance, MISS)
+    is_ahead = distance > 0.0
+    return jnp.where(meets & is_ahead, distance, MISS)
 
 
 def _root(square: Array) -> Array:
@@ -138,9 +164,11 @@ def _root(square: Array) -> Array:
 
 def _inverse(value: Array) -> Array:
     """Reciprocal, as fast as ``_root``; 1e-9 stands for values nearer to zero."""
-    value = jnp.where(jnp.abs(value) < STEEP, STEEP, value)
+    is_small = jnp.abs(value) < STEEP
+    value = jnp.where(is_small, STEEP, value)
     size = jax.lax.rsqrt(value * value)
-    return jnp.where(value < 0.0, -size, size)
+    is_negative = value < 0.0
+    return jnp.where(is_negative, -size, size)
 
 
 # --- normals at a point of the surface ---
@@ -148,42 +176,54 @@ def _inverse(value: Array) -> Array:
 
 def box_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vector:
     """Normal of the side that the point is nearest to."""
-    cosine, sine = row[6], row[7]
-    u, v = to_frame(point.x - row[0], point.y - row[1], cosine, sine)
-    w = point.z - row[2]
+    offset = point - _vector(row, 0)
+    half = _vector(row, 3)
+    cosine = row[6]
+    sine = row[7]
+    u, v = to_frame(offset.x, offset.y, cosine, sine)
+    w = offset.z
 
     # The point lies on the side beyond which it is farthest.
-    over_u = jnp.abs(u) - row[3]
-    over_v = jnp.abs(v) - row[4]
-    over_w = jnp.abs(w) - row[5]
+    over_u = jnp.abs(u) - half.x
+    over_v = jnp.abs(v) - half.y
+    over_w = jnp.abs(w) - half.z
     on_u = (over_u >= over_v) & (over_u >= over_w)
-    on_v = over_v >= over_w
+    v_before_w = over_v >= over_w
+    on_v = ~on_u & v_before_w
+    on_upright_side = on_u | v_before_w
 
+    # The normal in the box's frame, and then in the robot's.
     nu = jnp.where(on_u, jnp.sign(u), 0.0)
-    nv = jnp.where(~on_u & on_v, jnp.sign(v), 0.0)
-    nw = jnp.where(on_u | on_v, 0.0, jnp.sign(w))
-    return Vector(cosine * nu - sine * nv, sine * nu + cosine * nv, nw)
+    nv = jnp.where(on_v, jnp.sign(v), 0.0)
+    nw = jnp.where(on_upright_side, 0.0, jnp.sign(w))
+    nx = cosine * nu - sine * nv
+    ny = sine * nu + cosine * nv
+    return Vector(nx, ny, nw)
 
 
 def cylinder_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vector:
     """Normal of the round side or of the flat end."""
     axis = _vector(row, 3)
-    radius, half_length = row[6], row[7]
+    radius = row[6]
+    half_length = row[7]
     from_center = point - _vector(row, 0)
     along = dot(axis, from_center)
-    at_end = jnp.abs(along) >= half_length * (1.0 - 1e-4)
+    end = half_length * (1.0 - 1e-4)
+    at_end = jnp.abs(along) >= end
     outward = from_center - axis * along
 
     def component(outward: Array, axis: Array) -> Array:
-        return jnp.where(at_end, jnp.sign(along) * axis, outward / radius)
+        end_normal = jnp.sign(along) * axis
+        return jnp.where(at_end, end_normal, outward / radius)
 
     return Vector(*map(component, outward, axis))
 
 
 def sphere_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vector:
     """Normal of a sphere."""
+    radius = row[3]
     outward = point - _vector(row, 0)
-    return Vector(outward.x / row[3], outward.y / row[3], outward.z / row[3])
+    return Vector(outward.x / radius, outward.y / radius, outward.z / radius)
 
 
 def person_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vector:
@@ -191,7 +231,12 @@ def person_normal(row: Row, point: Vector, radius: Array, height: Array) -> Vect
     x = point.x - row[0]
     y = point.y - row[1]
     up = point.z + height
-    in_head = up > 0.5 * (SHOULDER + radius + HEAD - HEAD_RADIUS)
+    neck = 0.5 * (SHOULDER + radius + HEAD - HEAD_RADIUS)  # m, halfway from the shoulders to the head
+    in_head = up > neck
     size = jnp.where(in_head, HEAD_RADIUS, radius)
-    z = jnp.where(in_head, up - HEAD, jnp.maximum(up - SHOULDER, 0.0))
+    over_head = up - HEAD
+    over_shoulder = jnp.maximum(up - SHOULDER, 0.0)
+    z = jnp.where(in_head, over_head, over_shoulder)
+
+    # The outward vector, over the radius of its sphere.
     return Vector(x / size, y / size, z / size)

@@ -21,12 +21,23 @@ class Vector(NamedTuple):
     def __mul__(self, factor: Any) -> "Vector":
         return Vector(factor * self.x, factor * self.y, factor * self.z)
 
+    def scaled(self, factors: "Vector") -> "Vector":
+        """The vector with each component multiplied by one of its own."""
+        return Vector(self.x * factors.x, self.y * factors.y, self.z * factors.z)
+
+    def raised(self, height: Any) -> "Vector":
+        """The vector to a place that is higher."""
+        return Vector(self.x, self.y, self.z + height)
+
 
 def dot(a: Vector, b: Vector) -> Array:
     """The inner product."""
-    return a.x * b.x + a.y * b.y + a.z * b.z
+    products = a.scaled(b)
+    return products.x + products.y + products.z
 
 
 def to_frame(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:
     """(x, y) in a frame that is turned counter-clockwise by the angle of that cosine and sine."""
-    return cosine * x + sine * y, cosine * y - sine * x
+    u = cosine * x + sine * y
+    v = cosine * y - sine * x
+    return u, v

@@ -70,9 +70,12 @@ def make_view(
         position, heading: m and unit vector, of the robot.
         origin: m, of the sensor in the robot's frame.
     """
-    cosine, sine = heading[0], heading[1]
+    cosine = heading[0]
+    sine = heading[1]
     place = jnp.asarray(origin, float)
-    boxes, cylinders, spheres = solids.boxes, solids.cylinders, solids.spheres
+    boxes = solids.boxes
+    cylinders = solids.cylinders
+    spheres = solids.spheres
 
     def to_sensor(points: Array) -> tuple[Array, Array]:
         x, y = to_frame(points[:, 0] - position[0], points[:, 1] - position[1], cosine, sine)
@@ -213,8 +216,10 @@ def _to_components(vectors: np.ndarray) -> np.ndarray:
 
 def _tile_index(rows: int, columns: int, tile: tuple[int, int]) -> tuple[tuple[int, int, int, int], np.ndarray]:
     """The grid, and (tiles, rays) indices of rays; beyond the sensor's last row or column, that one is repeated."""
-    height, width = min(tile[0], rows), min(tile[1], columns)
-    down, across = -(-rows // height), -(-columns // width)
+    height = min(tile[0], rows)
+    width = min(tile[1], columns)
+    down = -(-rows // height)
+    across = -(-columns // width)
     row = np.minimum(np.arange(down * height), rows - 1)
     column = np.minimum(np.arange(across * width), columns - 1)
     index = row.reshape(down, 1, height, 1) * columns + column.reshape(1, across, 1, width)
@@ -236,7 +241,8 @@ def _sectors(direction: np.ndarray, from_one_point: bool) -> tuple[np.ndarray, n
     is_level = run[..., 0].min(1) > 1e-3
     has_edges = (is_level & (half_sector < MAX_HALF_SECTOR) & from_one_point)[:, None]
     yaw = np.arctan2(middle[:, 1], middle[:, 0])
-    left_edge, right_edge = yaw + angle_max, yaw + angle_min
+    left_edge = yaw + angle_max
+    right_edge = yaw + angle_min
     left = np.stack([np.sin(left_edge), -np.cos(left_edge)], -1)
     right = np.stack([-np.sin(right_edge), np.cos(right_edge)], -1)
     return np.where(has_edges, left, 0.0), np.where(has_edges, right, 0.0)
@@ -244,7 +250,8 @@ def _sectors(direction: np.ndarray, from_one_point: bool) -> tuple[np.ndarray, n
 
 def _angles_from(middle: np.ndarray, flat: np.ndarray) -> np.ndarray:
     """Angles (tiles, rays) [rad] of directions (tiles, rays, 2) from the middle (tiles, 2) of their tile."""
-    x, y = flat[..., 0], flat[..., 1]
+    x = flat[..., 0]
+    y = flat[..., 1]
     along = (flat * middle[:, None]).sum(-1)
     across = middle[:, None, 0] * y - middle[:, None, 1] * x
     return np.arctan2(across, along)

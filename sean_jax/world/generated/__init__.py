@@ -70,7 +70,8 @@ SHARE = 16  # floors, at least, for a process of its own
 CANDIDATES = 256  # places that are tried for groups
 GROUP_AREA = 60.0  # m2 of free floor for each group, at least
 ENTRANCE_MARGIN = 0.8  # m, from an entrance to the edge of the floor
-GROUP_GAP, GROUP_SIGHT = 3.5, 6.0  # m, between two groups; to the waypoint from which a group is reached
+GROUP_GAP = 3.5  # m, between two groups
+GROUP_SIGHT = 6.0  # m, to the waypoint from which a group is reached
 FLOWS = ("medium", "high", "low"), (0.7, 0.15, 0.15)  # of edges, and their chances
 
 
@@ -377,7 +378,8 @@ def _entrances(family: str, floor: Floor) -> np.ndarray:
 def _free_area(environment: Environment) -> float | None:
     """The floor [m2] where a person has room; None if the widest robot cannot go from everywhere to everywhere."""
     x0, y0, x1, y1 = np.asarray(environment.floor, float)
-    x, y = np.arange(x0 + CELL / 2, x1, CELL), np.arange(y0 + CELL / 2, y1, CELL)
+    x = np.arange(x0 + CELL / 2, x1, CELL)
+    y = np.arange(y0 + CELL / 2, y1, CELL)
     points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     clearance = np.minimum(*signed_distances_on_host(environment, points)).reshape(len(x), len(y))
     passable = clearance >= ROBOT + CELL / 2

@@ -32,7 +32,8 @@ ROOM = 0.05  # m, by which nodes are farther from obstacles than they have to be
 MERGE = 2.5  # m, within which ends of people's ways are one
 MIN_SHARE = 0.04  # of all ends, from which they are a node
 END = "end_"  # of the name of a node where people come from and go to
-C_MIN, C_MAX = 0.2, 100.0  # as in the shipped graphs
+C_MIN = 0.2  # as in the shipped graphs
+C_MAX = 100.0
 
 
 def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = None) -> Annotation:
@@ -48,20 +49,28 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
     graph = _Graph(floor)
 
     # Where people come from and go to, and then where most of the floor is out of sight.
-    for end in _clusters(np.zeros((0, 2)) if ends is None else np.asarray(ends, float)):
-        graph.add(int(np.argmin(np.linalg.norm(floor.cells - end, axis=-1))))
+    if ends is not None:
+        for end in _clusters(np.asarray(ends, float)):
+            distance = np.linalg.norm(floor.cells - end, axis=-1)
+            graph.add(int(np.argmin(distance)))
     n_ends = len(graph.nodes)
     while len(unseen := graph.unseen()) > UNSEEN * len(floor.cells):
-        room = np.minimum(floor.clearance[unseen], MAX_RADIUS) + 1e-2 * floor.clearance[unseen]
+        clearance = floor.clearance[unseen]
+        room = np.minimum(clearance, MAX_RADIUS) + 1e-2 * clearance
         graph.add(int(unseen[np.argmax(room)]))
 
-    chosen = _needed(graph, _connect(graph), n_ends)
+    # Nodes join what the first ones leave apart, and then as few as possible stay.
+    connected = _connect(graph)
+    chosen = _needed(graph, connected, n_ends)
     cells = [graph.nodes[k] for k in chosen]
-    ends_left = sum(k < n_ends for k in chosen)
-    names = [f"{END}{k + 1}" for k in range(ends_left)]
-    names += [f"place_{k + 1}" for k in range(len(chosen) - ends_left)]
+    position = floor.cells[cells]  # (M, 2) m
+    clearance = floor.clearance[cells]
     sees = np.array([graph.sights[k][cells] for k in chosen])  # (M, M)
-    return _annotation(environment, names, floor.cells[cells], floor.clearance[cells], sees | sees.T)
+    visible = sees | sees.T
+    n_chosen_ends = sum(k < n_ends for k in chosen)
+    names = [f"{END}{k + 1}" for k in range(n_chosen_ends)]
+    names += [f"place_{k + 1}" for k in range(len(chosen) - n_chosen_ends)]
+    return _annotation(environment, names, position, clearance, visible)
 
 
 class _Floor:
@@ -71,7 +80,8 @@ class _Floor:
         self.environment = environment
         self.cells, self.clearance, self.neighbors = _cells(environment)
         x0, y0, x1, y1 = np.asarray(environment.floor, float)
-        self.sight = max(SIGHT, SIGHT_SHARE * math.sqrt((x1 - x0) * (y1 - y0)))  # m
+        side = math.sqrt((x1 - x0) * (y1 - y0))  # m, of a square floor of this area
+        self.sight = max(SIGHT, SIGHT_SHARE * side)  # m
 
 
 class _Graph:
@@ -91,22 +101,30 @@ class _Graph:
                 f"environment '{floor.environment.name}' is so winding that {MAX_NODES} nodes do not see all of it; "
                 "write a graph.yaml for it by hand."
             )
-        start = np.broadcast_to(floor.cells[cell], floor.cells.shape)
+        place = floor.cells[cell]
+        start = np.broadcast_to(place, floor.cells.shape)
         sight = np.asarray(pairs_are_free(floor.environment.obstacles, PERSON, start, floor.cells))
         sight[cell] = True
+        distance = np.linalg.norm(floor.cells - place, axis=-1)
         self.nodes.append(cell)
         self.sights.append(sight)
-        self.near.append(sight & (np.linalg.norm(floor.cells - floor.cells[cell], axis=-1) < floor.sight))
+        self.near.append(sight & (distance < floor.sight))
 
     def unseen(self) -> np.ndarray:
         """The cells that no node sees and is near to."""
-        return np.flatnonzero(~np.any(self.near, axis=0)) if self.near else np.arange(len(self.floor.cells))
+        if self.near:
+            return np.flatnonzero(~np.any(self.near, axis=0))
+        return np.arange(len(self.floor.cells))
 
     def components(self, among: list[int] | None = None) -> list[list[int]]:
         """The nodes, or some among them, that are joined by sight, component by component."""
-        index = np.arange(len(self.nodes)) if among is None else np.sort(among)
+        if among is None:
+            index = np.arange(len(self.nodes))
+        else:
+            index = np.sort(among)
         cells = np.asarray(self.nodes)[index]
-        visible = np.array([self.sights[k][cells] for k in index]).reshape(len(index), len(index))
+        visible = np.array([self.sights[k][cells] for k in index])
+        visible = visible.reshape(len(index), len(index))  # without nodes, too
         count, label = connected_components(visible, directed=False)
         return [index[label == component].tolist() for component in range(count)]
 
@@ -114,35 +132,55 @@ class _Graph:
 def _cells(environment: Environment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centers (K, 2) m of possible cells of nodes, their clearance (K,) m, and pairs (L, 2) of neighboring cells."""
     x0, y0, x1, y1 = np.asarray(environment.floor, float)
-    width, depth = x1 - x0, y1 - y0
-    size = CELL * max(1.0, math.sqrt(width * depth / CELL**2 / MAX_CELLS))
-    columns, rows = max(1, round(width / size)), max(1, round(depth / size))
-    x = x0 + (np.arange(columns) + 0.5) * width / columns
-    y = y0 + (np.arange(rows) + 0.5) * depth / rows
-    middle = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    clearance = np.minimum(*signed_distances_on_host(environment, middle))
+    width = x1 - x0
+    depth = y1 - y0
+    excess = width * depth / CELL**2 / MAX_CELLS  # of cells, over the maximum
+    size = CELL * max(1.0, math.sqrt(excess))
+    columns = max(1, round(width / size))
+    rows = max(1, round(depth / size))
+
+    # Their middles.
+    column = np.arange(columns)
+    row = np.arange(rows)
+    x = x0 + (column + 0.5) * width / columns
+    y = y0 + (row + 0.5) * depth / rows
+    grid = np.meshgrid(x, y, indexing="ij")
+    middle = np.stack(grid, -1).reshape(-1, 2)  # (columns * rows, 2) m
+
+    # Cells of nodes are clear of obstacles and edges.
+    to_obstacle, to_edge = signed_distances_on_host(environment, middle)
+    clearance = np.minimum(to_obstacle, to_edge)
     free = clearance >= NODE_CLEARANCE + ROOM
     if not free.any():
         raise InputError(f"environment '{environment.name}' has no room for a node; look at its floor and scene.xml.")
 
     # Pairs of cells beside each other in x, and in y.
-    index = np.where(free, np.cumsum(free) - 1, -1).reshape(columns, rows)
+    index = np.where(free, np.cumsum(free) - 1, -1)
+    index = index.reshape(columns, rows)
     in_x = np.stack([index[1:], index[:-1]], -1).reshape(-1, 2)
     in_y = np.stack([index[:, 1:], index[:, :-1]], -1).reshape(-1, 2)
     neighbors = np.concatenate([in_x, in_y])
-    return middle[free], clearance[free], neighbors[(neighbors >= 0).all(1)]
+    both_free = (neighbors >= 0).all(1)
+    neighbors = neighbors[both_free]
+    return middle[free], clearance[free], neighbors
 
 
 def _clusters(ends: np.ndarray) -> list[np.ndarray]:
     """(2,) m the middle of each place where many of the ends (K, 2) [m] are, the fullest first."""
-    middles, remaining = [], ends
+    middles = []
+    remaining = ends
+    min_ends = max(2, MIN_SHARE * len(ends))
     while len(remaining) and len(middles) < MAX_NODES // 2:
-        near = np.linalg.norm(remaining[:, None] - remaining[None, :], axis=-1) < MERGE
-        fullest = near[np.argmax(near.sum(1))]
-        if fullest.sum() < max(2, MIN_SHARE * len(ends)):
+        gaps = remaining[:, None] - remaining[None, :]
+        near = np.linalg.norm(gaps, axis=-1) < MERGE
+        counts = near.sum(1)
+        fullest = near[np.argmax(counts)]
+        if fullest.sum() < min_ends:
             break
-        middles.append(remaining[fullest].mean(0))
-        remaining = remaining[np.linalg.norm(remaining - middles[-1], axis=-1) >= MERGE]
+        middle = remaining[fullest].mean(0)
+        middles.append(middle)
+        distance = np.linalg.norm(remaining - middle, axis=-1)
+        remaining = remaining[distance >= MERGE]
     return middles
 
 
@@ -156,29 +194,42 @@ def _connect(graph: _Graph) -> list[int]:
     closed: set[int] = set()  # components, by their first node, that see all that can be reached from them
     while True:
         components = graph.components()
-        views = [np.any([graph.sights[k] for k in component], axis=0) for component in components]
-        largest = int(np.argmax([view.sum() for view in views]))
+        views = np.array([_view(graph, component) for component in components])  # (components, K)
+        largest = int(np.argmax(views.sum(1)))
         growing = [k for k, component in enumerate(components) if component[0] not in closed]
         if len(components) == 1 or not growing:
             return components[largest]
 
+        # The first component that can grow, towards what others see.
         grown = growing[0]
-        other_view = np.any([view for k, view in enumerate(views) if k != grown], axis=0)
-        candidates = np.flatnonzero(views[grown] & other_view)
+        view = views[grown]
+        other_views = np.delete(views, grown, 0)
+        other_view = np.any(other_views, axis=0)
+        candidates = np.flatnonzero(view & other_view)
         if len(candidates) == 0:
-            candidates = _border(views[grown], graph.floor.neighbors)
-        candidates = candidates[~np.isin(candidates, graph.nodes)]
+            candidates = _border(view, graph.floor.neighbors)
+        is_node = np.isin(candidates, graph.nodes)
+        candidates = candidates[~is_node]
         if len(candidates) == 0:
             closed.add(components[grown][0])
         else:
-            graph.add(int(candidates[np.argmax(clearance[candidates])]))
+            roomiest = candidates[np.argmax(clearance[candidates])]
+            graph.add(int(roomiest))
+
+
+def _view(graph: _Graph, nodes: list[int]) -> np.ndarray:
+    """(K,) bool, the cells that some of these nodes see."""
+    sights = [graph.sights[k] for k in nodes]
+    return np.any(sights, axis=0)
 
 
 def _border(view: np.ndarray, neighbors: np.ndarray) -> np.ndarray:
     """The cells of a view (K,) beside a cell that is not in it."""
     first_seen, second_seen = view[neighbors].T
     first, second = neighbors.T
-    return np.unique(np.concatenate([first[first_seen & ~second_seen], second[~first_seen & second_seen]]))
+    only_first = first[first_seen & ~second_seen]
+    only_second = second[~first_seen & second_seen]
+    return np.unique(np.concatenate([only_first, only_second]))
 
 
 def _needed(graph: _Graph, chosen: list[int], n_ends: int) -> list[int]:
@@ -188,11 +239,16 @@ def _needed(graph: _Graph, chosen: list[int], n_ends: int) -> list[int]:
     may_be_unseen = UNSEEN * len(clearance) - np.sum(n_views == 0)
     for k in sorted(chosen, key=lambda k: clearance[graph.nodes[k]]):
         others = [other for other in chosen if other != k]
-        unseen = int(np.sum(graph.near[k] & (n_views == 1)))
-        if k >= n_ends and others and unseen <= may_be_unseen and len(graph.components(others)) == 1:
-            chosen = others
-            n_views = n_views - graph.near[k]
-            may_be_unseen -= unseen
+        near = graph.near[k]
+        only_here = near & (n_views == 1)
+        unseen = int(np.sum(only_here))
+        if k < n_ends or not others or unseen > may_be_unseen:
+            continue
+        if len(graph.components(others)) > 1:
+            continue
+        chosen = others
+        n_views = n_views - near
+        may_be_unseen -= unseen
     return chosen
 
 
@@ -202,20 +258,23 @@ def _annotation(
     """The annotation of nodes at (M, 2) m with a clearance (M,) m, of which pairs (M, M) see each other."""
     gap = np.linalg.norm(position[:, None] - position[None, :], axis=-1)
     itself = np.eye(len(gap), dtype=bool)
-    nearest = np.min(gap + np.where(itself, np.inf, 0.0), axis=1, initial=np.inf)
-    radii = np.clip(np.minimum(clearance - PERSON, 0.45 * nearest), PERSON, MAX_RADIUS)
+    to_others = gap + np.where(itself, np.inf, 0.0)
+    nearest = np.min(to_others, axis=1, initial=np.inf)
+    radii = np.minimum(clearance - PERSON, 0.45 * nearest)
+    radii = np.clip(radii, PERSON, MAX_RADIUS)
     nodes = {}
     for name, (x, y), radius in zip(names, position.tolist(), radii.tolist(), strict=True):
-        center = round(x, 3), round(y, 3)
+        place = round(x, 3), round(y, 3)
         is_end = name.startswith(END)
-        nodes[name] = Node(kind="waypoint", position=center, radius=round(radius, 2), spawn=1, entrance=is_end)
+        nodes[name] = Node(kind="waypoint", position=place, radius=round(radius, 2), spawn=1, entrance=is_end)
 
     # The relative neighborhood graph: no third node is nearer to both.
     length = np.where(visible, gap, np.inf)
     edges = []
     for a, b in np.argwhere(np.triu(visible, 1)):
         longer = np.maximum(length[a], length[b])  # of both edges by each third node
-        if not (longer < gap[a, b] - 1e-9).any():
+        is_between = longer < gap[a, b] - 1e-9
+        if not is_between.any():
             edges.append(Edge(between=(names[a], names[b])))
     source = f"proposed for the environment '{environment.name}' from its clearance and sight"
     return Annotation(version=1, source=source, c_min=C_MIN, c_max=C_MAX, nodes=nodes, edges=edges)

@@ -65,12 +65,15 @@ def tangents(arcs: CornerArcs, place: Float[Array, "2"], radius: Float[Array, ""
     From inside a circle the tangent starts at the nearest point on the circle, and has no length. With ``arriving``
     the travel is from the place to the arcs, else from the arcs to the place.
     """
-    cx, cy = arcs.corner[:, 0], arcs.corner[:, 1]
-    dx, dy = place[0] - cx, place[1] - cy
+    cx = arcs.corner[:, 0]
+    cy = arcs.corner[:, 1]
+    dx = place[0] - cx
+    dy = place[1] - cy
     distance = length(dx, dy)
     square = distance * distance - radius * radius  # of the tangent's length
     inside = square < NEAR
-    tangent = jnp.where(inside, 0.0, jnp.sqrt(jnp.where(inside, 1.0, square)))
+    root = jnp.sqrt(jnp.where(inside, 1.0, square))
+    tangent = jnp.where(inside, 0.0, root)
 
     # The normal (nx, ny) from the corner to where the tangent touches: radius and tangent are the legs of a triangle.
     leg = arcs.side * tangent if arriving else -arcs.side * tangent
@@ -80,7 +83,9 @@ def tangents(arcs: CornerArcs, place: Float[Array, "2"], radius: Float[Array, ""
 
     angle = arcs.side * _angle_to(arcs.middle[:, 0], arcs.middle[:, 1], nx, ny)
     on_arc = (angle >= arcs.first - ANGLE) & (angle <= arcs.last + ANGLE)
-    return Tangents(tangent, angle, cx + radius * nx, cy + radius * ny, on_arc)
+    x = cx + radius * nx
+    y = cy + radius * ny
+    return Tangents(tangent, angle, x, y, on_arc)
 
 
 def tangent_to_arc(
@@ -92,7 +97,8 @@ def tangent_to_arc(
     point = jnp.concatenate([x, y])
     out = point - arc.corner[0]
     scale = arc.side[0] / jnp.maximum(length(out[0], out[1]), 1e-6)
-    return Tangent(angle[0], on_arc[0], point, scale * jnp.stack([-out[1], out[0]]))
+    direction = scale * jnp.stack([-out[1], out[0]])
+    return Tangent(angle[0], on_arc[0], point, direction)
 
 
 def _angle_to(mx: Array, my: Array, nx: Array, ny: Array) -> Array:
@@ -161,7 +167,8 @@ def push_out_of_obstacles(
     free_radius = jnp.maximum(jnp.minimum(radius, clearance) - SLACK, 0.0)
 
     # Without the barrier XLA computes the spot again for each pair of a point and a box, and compiles for minutes.
-    shift, free_radius = jax.lax.optimization_barrier(jax.lax.stop_gradient((spot - place, free_radius)))
+    fixed = jax.lax.stop_gradient((spot - place, free_radius))
+    shift, free_radius = jax.lax.optimization_barrier(fixed)
     return place + shift, free_radius
 
 
@@ -169,7 +176,8 @@ def pairs_are_free(
     boxes: Obstacles, radius: float, starts: Float[np.ndarray, "K 2"], ends: Float[np.ndarray, "K 2"]
 ) -> Bool[np.ndarray, "K"]:
     """``segment_is_free`` for many pairs [m], on the host."""
-    return map_in_batches(_pair_is_free, (in_programs(boxes), jnp.asarray(radius, float)), starts, ends)
+    shared = in_programs(boxes), jnp.asarray(radius, float)
+    return map_in_batches(_pair_is_free, shared, starts, ends)
 
 
 def _pair_is_free(shared: tuple[Obstacles, Array], start: Array, end: Array) -> Array:

@@ -61,10 +61,11 @@ def next_corner(
     navigation: Navigation, table: NextCornerTable, position: Float[Array, "2"], index: Int[Array, ""]
 ) -> Float[Array, "2"]:
     """A place [m] ahead on the way from a position [m] to a point of the table: the point, or on an arc's tangent."""
-    cell = cell_of(table.first_arc, navigation.origin, CELL, position)
-    first_arc = table.first_arc[*cell, index]
+    i, j = cell_of(table.first_arc, navigation.origin, CELL, position)
+    first_arc = table.first_arc[i, j, index]
     arc, tangent = _next_arc(navigation, table, position, index, first_arc)
-    aim = _past_corner(navigation, jnp.maximum(arc, 0), position, tangent)
+    any_arc = jnp.maximum(arc, 0)
+    aim = _past_corner(navigation, any_arc, position, tangent)
     return jnp.where(arc >= 0, aim, table.point[index])
 
 
@@ -82,8 +83,10 @@ def next_point_approx(
 
     # Length of the path by each arc, and the few shortest.
     distance, angle, _, _, on_arc = tangents(arcs, spot, radius, True)
-    reachable = visible & on_arc & (angle <= paths_to_goal.departure_angle + ANGLE)
-    total = jnp.where(reachable, distance - radius * angle + paths_to_goal.distance, jnp.inf)
+    before_departure = angle <= paths_to_goal.departure_angle + ANGLE
+    reachable = visible & on_arc & before_departure
+    by_arc = distance - radius * angle + paths_to_goal.distance  # (V,) m
+    total = jnp.where(reachable, by_arc, jnp.inf)
     shortest, index = jax.lax.top_k(-total, min(CANDIDATES, total.shape[0]))
     no_path = ~jnp.isfinite(jnp.max(shortest))  # not shortest[0]: XLA on a CPU would compute it again, ten times slower
 
@@ -93,11 +96,13 @@ def next_point_approx(
     x = jnp.append(x, goal[0])
     y = jnp.append(y, goal[1])
     clear = segments_are_free(navigation.obstacles, position, x, y, CLOSE * radius)
-    chosen = index[jnp.argmax(clear[:-1])]
+    first_clear = jnp.argmax(clear[:-1])
+    chosen = index[first_clear]
 
     tangent = tangent_to_arc(arcs, chosen, spot, radius)
+    aim = _past_corner(navigation, chosen, position, tangent)
     to_goal = clear[-1] | no_path
-    return jnp.where(to_goal, goal, _past_corner(navigation, chosen, position, tangent))
+    return jnp.where(to_goal, goal, aim)
 
 
 def _visible_around(navigation: Navigation, position: Float[Array, "2"]) -> Bool[Array, "V"]:
@@ -105,8 +110,12 @@ def _visible_around(navigation: Navigation, position: Float[Array, "2"]) -> Bool
     grid = navigation.visible, navigation.origin, navigation.cell
     left, below = cell_of(*grid, position - 0.5 * navigation.cell)
     right, above = cell_of(*grid, position + 0.5 * navigation.cell)
-    words = (visible_words(navigation, i, j) for i in (left, right) for j in (below, above))
-    return arc_bits(functools.reduce(jnp.bitwise_or, words), navigation.arcs.side.shape[0])
+    words = []
+    for i in (left, right):
+        for j in (below, above):
+            words.append(visible_words(navigation, i, j))
+    from_any = functools.reduce(jnp.bitwise_or, words)
+    return arc_bits(from_any, navigation.arcs.side.shape[0])
 
 
 def _past_corner(navigation: Navigation, arc: Array, position: Array, tangent: Tangent) -> Array:
@@ -120,13 +129,17 @@ def _past_corner(navigation: Navigation, arc: Array, position: Array, tangent: T
     corner = navigation.arcs.corner[arc]
     radius = navigation.radius
     out = position - corner
-    distance = jnp.maximum(length(out[0], out[1]), 0.1 * radius)
-    across = navigation.arcs.side[arc] * jnp.stack([-out[1], out[0]])
-    direction = (radius / distance - distance / radius) * out + across  # times d / r
+    distance = length(out[0], out[1])
+    distance = jnp.maximum(distance, 0.1 * radius)
+    left = jnp.stack([-out[1], out[0]])
+    across = navigation.arcs.side[arc] * left
+    outward = radius / distance - distance / radius
+    direction = outward * out + across  # times d / r
+    direction_length = jnp.maximum(length(direction[0], direction[1]), 1e-6)
 
     gap = tangent.point - position
     ahead = jnp.maximum(length(gap[0], gap[1]), MIN_AHEAD)
-    return position + ahead / jnp.maximum(length(direction[0], direction[1]), 1e-6) * direction
+    return position + ahead / direction_length * direction
 
 
 def _next_arc(
@@ -137,9 +150,12 @@ def _next_arc(
     radius = navigation.radius
     current = jnp.maximum(arc.astype(jnp.int32), 0)
     angle = tangent_to_arc(arcs, current, position, radius).angle
-    past = (arc >= 0) & (angle > table.departure_angle[index, current])
-    arc = jnp.where(past, table.next_arc[index, current], arc).astype(jnp.int32)
-    return arc, tangent_to_arc(arcs, jnp.maximum(arc, 0), position, radius)
+    departure_angle = table.departure_angle[index, current]
+    next_arc = table.next_arc[index, current]
+    past = (arc >= 0) & (angle > departure_angle)
+    arc = jnp.where(past, next_arc, arc).astype(jnp.int32)
+    tangent = tangent_to_arc(arcs, jnp.maximum(arc, 0), position, radius)
+    return arc, tangent
 
 
 # --- the table, built on the host ---
@@ -185,11 +201,13 @@ def _make(navigation: Navigation, points: Array) -> dict[str, np.ndarray]:
 
     # Programs are shared by floors, so they take padded arrays; and visibility by rows, not the whole table.
     navigation = in_programs(replace(navigation, visible=None, places=None, mesh_places=None))
-    padded_points = np.pad(np.asarray(points), [(0, -n_points % POINTS), (0, 0)], mode="edge")
-    paths = _paths_to_points(navigation, jnp.asarray(padded_points, float))
+    n_padding = -n_points % POINTS
+    padded_points = np.pad(np.asarray(points), [(0, n_padding), (0, 0)], mode="edge")
+    padded_points = jnp.asarray(padded_points, float)
+    paths = _paths_to_points(navigation, padded_points)
 
-    best_arc = _best_from_middles(navigation, paths, visible)[..., :n_points]
-    best_arc = best_arc.repeat(scale, 0).repeat(scale, 1)  # (X, Y, M)
+    best_arc = _best_from_middles(navigation, paths, visible)
+    best_arc = best_arc[..., :n_points].repeat(scale, 0).repeat(scale, 1)  # (X, Y, M)
     return {
         "first_arc": _elect(navigation, paths, best_arc, scale),
         "next_arc": np.asarray(paths.next_arc)[:n_points, :n_arcs],
@@ -201,10 +219,14 @@ def _best_from_middles(navigation: Navigation, paths: PathsToPoints, visible: np
     """The best arc from the middle of each cell of the visibility grid (X, Y, V8)."""
     cells = visible.shape[:2]
     words = visible.reshape(-1, visible.shape[2])
-    words = np.pad(words, [(0, 0), (0, navigation.arcs.side.shape[0] // 8 - words.shape[1])])
-    middles = np.indices(cells).reshape(2, -1).T + 0.5
-    middles = np.asarray(navigation.origin) + middles * float(navigation.cell)
-    return map_in_batches(_first_arcs, (navigation, paths), middles, words).reshape(*cells, -1)
+    n_padding = navigation.arcs.side.shape[0] // 8 - words.shape[1]
+    words = np.pad(words, [(0, 0), (0, n_padding)])
+
+    index = np.indices(cells).reshape(2, -1).T
+    middles = (index + 0.5) * float(navigation.cell)
+    middles = np.asarray(navigation.origin) + middles  # (X * Y, 2) m
+    best_arc = map_in_batches(_first_arcs, (navigation, paths), middles, words)
+    return best_arc.reshape(*cells, -1)
 
 
 def _elect(
@@ -225,19 +247,26 @@ def _elect(
     elected = best_arc.copy()
     last_cell = np.array(best_arc.shape[:2]) - 1
     for step in NEIGHBORS:
-        i, j = np.clip(cells[:, :2] + scale * np.array(step), 0, last_cell).T
+        neighbor = cells[:, :2] + scale * np.array(step)
+        neighbor = np.clip(neighbor, 0, last_cell)
+        i, j = neighbor.T
         arc = best_arc[i, j, cells[:, 2]]
         votes = count(cells, arc)
-        better = (votes.weight_for > weight_for + 1e-3) & (votes.length < limit)
-        elected[tuple(cells[better].T)] = arc[better]
+
+        # It needs more votes, and no much longer path.
+        has_more_votes = votes.weight_for > weight_for + 1e-3
+        better = has_more_votes & (votes.length < limit)
+        better_cells = tuple(cells[better].T)
+        elected[better_cells] = arc[better]
         weight_for = np.where(better, votes.weight_for, weight_for)
     return elected
 
 
 def _cell_corners(navigation: Navigation, shape: tuple[int, ...]) -> CellCorners:
-    corners = np.indices((shape[0] + 1, shape[1] + 1), np.float32).reshape(2, -1).T * CELL
+    indices = np.indices((shape[0] + 1, shape[1] + 1), np.float32).reshape(2, -1).T
+    corners = indices * CELL + np.asarray(navigation.origin)  # (K, 2) m
     shared = navigation.obstacles, navigation.radius
-    return CellCorners(*map_in_batches(_corner_of_cell, shared, corners + np.asarray(navigation.origin)))
+    return CellCorners(*map_in_batches(_corner_of_cell, shared, corners))
 
 
 def _count_votes(
@@ -249,27 +278,32 @@ def _count_votes(
 ) -> Votes:
     """The votes of the corners of cells (i, j, point) of a table on an arc each."""
     column = shape[1] + 1
-    corner = cells[:, :1] * column + cells[:, 1:2] + np.array([0, 1, column, column + 1])  # (C, 4)
+    first_corner = cells[:, :1] * column + cells[:, 1:2]
+    corner = first_corner + np.array([0, 1, column, column + 1])  # (C, 4)
     weight = corners.weight[corner]
     counted = weight > 0.0
 
     # Cells beside each other share corners, so many paths (corner, point, arc) occur several times.
     navigation, _ = shared
-    sizes = len(corners.weight), shape[2], navigation.arcs.side.shape[0] + 1
-    path = np.ravel_multi_index((corner, cells[:, 2:], arc[:, None] + 1), sizes)
+    n_arcs = navigation.arcs.side.shape[0]
+    sizes = len(corners.weight), shape[2], n_arcs + 1
+    path = np.ravel_multi_index((corner, cells[:, 2:], arc[:, None] + 1), sizes)  # (C, 4)
     path, index = np.unique(path[counted], return_inverse=True)
     start, point, path_arc = np.unravel_index(path, sizes)
     path_arc = (path_arc - 1).astype(arc.dtype)  # -1: straight to the point
-    rows = corners.place[start], corners.free_radius[start], point.astype(np.int32), path_arc
-    clear, distance = map_in_batches(_path_from, shared, *rows)
+    place = corners.place[start]
+    free_radius = corners.free_radius[start]
+    clear, distance = map_in_batches(_path_from, shared, place, free_radius, point.astype(np.int32), path_arc)
 
     # Sums over the corners of each cell.
     weight = weight[counted]
-    sum_by_cell = functools.partial(np.bincount, np.nonzero(counted)[0], minlength=len(cells))
+    cell, _ = np.nonzero(counted)
+    sum_by_cell = functools.partial(np.bincount, cell, minlength=len(cells))
     weight_for = sum_by_cell(weight * clear[index])
     weight_against = sum_by_cell(weight * ~clear[index])
-    distance = sum_by_cell(weight * distance[index])
-    return Votes(weight_for, weight_against, distance / np.maximum(weight_for + weight_against, 1e-3))
+    total_weight = np.maximum(weight_for + weight_against, 1e-3)
+    mean_distance = sum_by_cell(weight * distance[index]) / total_weight
+    return Votes(weight_for, weight_against, mean_distance)
 
 
 def _path_from(
@@ -280,12 +314,17 @@ def _path_from(
     arc, tangent = _next_arc(navigation, paths, place, index, arc)
     is_arc = arc >= 0
     target = jnp.where(is_arc, tangent.point, paths.end[index])
-    free_radius = jnp.where(is_arc, free_radius, jnp.minimum(free_radius, paths.end_radius[index]))
+    radius_to_end = jnp.minimum(free_radius, paths.end_radius[index])
+    free_radius = jnp.where(is_arc, free_radius, radius_to_end)
 
+    # The segment to the target, and the path from there.
     after_target = paths.distance[index, jnp.maximum(arc, 0)] - navigation.radius * tangent.angle
-    distance = length(target[0] - place[0], target[1] - place[1]) + jnp.where(is_arc, after_target, 0.0)
+    after_target = jnp.where(is_arc, after_target, 0.0)
+    to_target = length(target[0] - place[0], target[1] - place[1])
+    distance = to_target + after_target
     is_free = segment_is_free(navigation.obstacles, place, target, free_radius)
-    return (tangent.on_arc | ~is_arc) & is_free, distance
+    on_arc = tangent.on_arc | ~is_arc
+    return on_arc & is_free, distance
 
 
 @jax.jit
@@ -293,7 +332,8 @@ def _paths_to_points(navigation: Navigation, points: Float[Array, "M 2"]) -> Pat
     distance, last, departure_angle = jax.vmap(last_arcs, in_axes=(None, 0))(navigation, points)
     first = jnp.arange(navigation.arcs.side.shape[0], dtype=jnp.int32)[None, :]
     next_arc = navigation.next_arc[first, last].astype(jnp.int32)
-    next_arc = jnp.where(last == first, -1, next_arc).astype(jnp.int16)
+    is_last = last == first
+    next_arc = jnp.where(is_last, -1, next_arc).astype(jnp.int16)
     push_out = jax.vmap(push_out_of_obstacles, in_axes=(None, 0, None))
     end, end_radius = push_out(navigation.obstacles, points, navigation.radius)
     return PathsToPoints(distance, departure_angle, next_arc, end, end_radius)
@@ -306,16 +346,21 @@ def _first_arcs(shared: tuple[Navigation, PathsToPoints], spot: Array, words: Ar
     radius = navigation.radius
     place, free_radius = push_out_of_obstacles(navigation.obstacles, spot, radius)
     are_free = jax.vmap(segment_is_free, in_axes=(None, None, 0, 0))
-    clear = are_free(navigation.obstacles, place, paths.end, jnp.minimum(free_radius, paths.end_radius))
+    radius_to_end = jnp.minimum(free_radius, paths.end_radius)
+    clear = are_free(navigation.obstacles, place, paths.end, radius_to_end)
 
+    # Length of the path to each point by each arc.
     distance, angle, *_ = tangents(arcs, place, radius, True)
     visible = arc_bits(words, arcs.side.shape[0])
-    reachable = visible[None, :] & (angle[None, :] <= paths.departure_angle + ANGLE)  # (M, V)
-    total = jnp.where(reachable, (distance - radius * angle)[None, :] + paths.distance, jnp.inf)
+    before_departure = angle[None, :] <= paths.departure_angle + ANGLE
+    reachable = visible[None, :] & before_departure  # (M, V)
+    to_middle = distance - radius * angle  # (V,) m
+    total = jnp.where(reachable, to_middle[None, :] + paths.distance, jnp.inf)
 
     no_path = ~jnp.isfinite(jnp.min(total, axis=1))
     best = jnp.argmin(total, axis=1).astype(jnp.int32)
-    return jnp.where(clear | no_path, -1, best).astype(jnp.int16)
+    straight = clear | no_path
+    return jnp.where(straight, -1, best).astype(jnp.int16)
 
 
 def _corner_of_cell(shared: tuple, spot: Array) -> tuple[Array, Array, Array]:
@@ -323,5 +368,7 @@ def _corner_of_cell(shared: tuple, spot: Array) -> tuple[Array, Array, Array]:
     boxes, radius = shared
     distance, _, _ = jax.vmap(from_box, in_axes=(None, None, 0))(spot[0], spot[1], boxes)
     clearance = jnp.min(distance, initial=jnp.inf)
-    weight = jnp.where(clearance >= CLOSE * radius, 1.0, jnp.where(clearance > 0.0, 0.01, 0.0))
-    return *push_out_of_obstacles(boxes, spot, radius), weight
+    weight = jnp.where(clearance > 0.0, 0.01, 0.0)
+    weight = jnp.where(clearance >= CLOSE * radius, 1.0, weight)
+    place, free_radius = push_out_of_obstacles(boxes, spot, radius)
+    return place, free_radius, weight

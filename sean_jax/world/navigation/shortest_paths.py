@@ -61,7 +61,8 @@ def geodesic(
     """Length [m] of the shortest path; inf without one."""
     gap = goal - position
     start = first_arc(navigation, position, goal, paths_to_goal)
-    return jnp.where(start.straight, length(gap[0], gap[1]), start.around)
+    to_goal = length(gap[0], gap[1])
+    return jnp.where(start.straight, to_goal, start.around)
 
 
 def geodesic_approx(
@@ -71,8 +72,9 @@ def geodesic_approx(
     gap = goal - position
     straight = segment_is_free(navigation.obstacles, position, goal, NARROW * navigation.radius)
 
-    cell = cell_of(navigation.visible, navigation.origin, navigation.cell, position)
-    visible = arc_bits(visible_words(navigation, *cell), navigation.arcs.side.shape[0])
+    i, j = cell_of(navigation.visible, navigation.origin, navigation.cell, position)
+    words = visible_words(navigation, i, j)
+    visible = arc_bits(words, navigation.arcs.side.shape[0])
     distance, angle, *_ = tangents(navigation.arcs, position, navigation.radius, True)
     to_arc = jnp.where(visible, distance - navigation.radius * angle, jnp.inf)
 
@@ -95,12 +97,17 @@ def next_point(
     tangent = tangent_to_arc(navigation.arcs, start.arc, start.place, radius)
 
     # The tangents to both ends of a piece of arc meet half its angle ahead.
-    turn = jnp.clip(paths_to_goal.departure_angle[start.arc] - tangent.angle, 0.0, 2 * jnp.radians(STRIDE))
+    turn = paths_to_goal.departure_angle[start.arc] - tangent.angle
+    turn = jnp.clip(turn, 0.0, 2 * jnp.radians(STRIDE))
     stride = jnp.maximum(radius * jnp.tan(0.5 * turn), MIN_STRIDE)
     ahead = tangent.point + stride * tangent.direction
     is_free = segment_is_free(navigation.obstacles, start.place, ahead, start.free_radius)
-    aim = jnp.where(is_free, ahead, tangent.point + MIN_STRIDE * tangent.direction)
-    return jnp.where(start.straight | ~jnp.isfinite(start.around), goal, aim)
+
+    # Where the place ahead is not free, the least stride has to do.
+    near = tangent.point + MIN_STRIDE * tangent.direction
+    aim = jnp.where(is_free, ahead, near)
+    to_goal = start.straight | ~jnp.isfinite(start.around)
+    return jnp.where(to_goal, goal, aim)
 
 
 def path_rotation(
@@ -126,8 +133,10 @@ def path_rotation(
     departure = tangents(arcs, end, radius, False).angle[last]
 
     straight = start.straight | ~jnp.isfinite(start.around)
-    at_start = jnp.abs(angle_between(heading, jnp.where(straight, goal - position, tangent.direction)))
-    return at_start + jnp.where(straight, 0.0, navigation.rotation[first, last] + departure - tangent.angle)
+    direction = jnp.where(straight, goal - position, tangent.direction)
+    at_start = jnp.abs(angle_between(heading, direction))
+    on_arcs = navigation.rotation[first, last] + departure - tangent.angle
+    return at_start + jnp.where(straight, 0.0, on_arcs)
 
 
 def first_arc(
@@ -138,17 +147,20 @@ def first_arc(
     radius = navigation.radius
     place, free_radius = push_out_of_obstacles(boxes, position, radius)
     end, end_radius = push_out_of_obstacles(boxes, goal, radius)
-    straight = segment_is_free(boxes, place, end, jnp.minimum(free_radius, end_radius))
+    both_radii = jnp.minimum(free_radius, end_radius)
+    straight = segment_is_free(boxes, place, end, both_radii)
 
     # Length of the path by each arc.
     distance, angle, x, y, on_arc = tangents(navigation.arcs, place, radius, True)
     reachable = on_arc & (angle <= paths_to_goal.departure_angle + ANGLE)
-    total = jnp.where(reachable, distance - radius * angle + paths_to_goal.distance, jnp.inf)
+    by_arc = distance - radius * angle + paths_to_goal.distance  # (V,) m
+    total = jnp.where(reachable, by_arc, jnp.inf)
 
     # Of the two arcs of a corner only the better one can be on the shortest path.
     right = total[1::2] < total[::2]
     total, x, y = (jnp.where(right, values[1::2], values[::2]) for values in (total, x, y))
-    total = jnp.where(segments_are_free(boxes, place, x, y, free_radius), total, jnp.inf)
+    clear = segments_are_free(boxes, place, x, y, free_radius)
+    total = jnp.where(clear, total, jnp.inf)
     corner = jnp.argmin(total).astype(jnp.int32)
     around = total[corner]
     arc = 2 * corner + right[corner].astype(jnp.int32)
@@ -173,11 +185,15 @@ def last_arcs(navigation: Navigation, goal: Float[Array, "2"]) -> ArcsToGoal:
         arrival_angle = navigation.arrival_angle.row((index,), n_arcs)
         total = jnp.where(arrival_angle <= angle + ANGLE, distance + to_goal, jnp.inf)
         shorter = total < shortest
-        return (jnp.where(shorter, total, shortest), jnp.where(shorter, index, last)), None
+        shortest = jnp.where(shorter, total, shortest)
+        last = jnp.where(shorter, index, last)
+        return (shortest, last), None
 
     # In a loop: XLA on a CPU takes 30 times longer for an argmin over a square of arcs.
-    (total, last), _ = jax.lax.scan(relax, (jnp.full_like(to_goal, jnp.inf), arcs), (arcs, angle, to_goal))
-    total = jnp.where(arcs < navigation.distance.shape[0], total, jnp.inf)
+    no_paths = jnp.full_like(to_goal, jnp.inf), arcs
+    (total, last), _ = jax.lax.scan(relax, no_paths, (arcs, angle, to_goal))
+    exists = arcs < navigation.distance.shape[0]
+    total = jnp.where(exists, total, jnp.inf)
     departure_angle = jnp.where(last == arcs, angle[last], navigation.departure_angle[arcs, last])
     return ArcsToGoal(total, last, departure_angle)
 
@@ -202,7 +218,8 @@ def plan(
         last: of ``last_arc_to_goal``.
         apart: m, minimum distance from one point to the next.
     """
-    along = FINE * jnp.arange(1, round(CURVED * points * apart / FINE) + 1, dtype=float)  # (K,) m
+    count = round(CURVED * points * apart / FINE)
+    along = FINE * jnp.arange(1, count + 1, dtype=float)  # (K,) m
     x, y = _places_along(navigation, position, goal, paths_to_goal, last, along)
     index = jnp.arange(along.shape[0], dtype=jnp.int32)
 
@@ -214,7 +231,8 @@ def plan(
         chosen = jnp.argmax(is_far).astype(jnp.int32)
         px = jnp.where(exists, x[chosen], goal[0])
         py = jnp.where(exists, y[chosen], goal[1])
-        return (jnp.where(exists, chosen, index[-1]), px, py), jnp.stack([px, py])
+        before = jnp.where(exists, chosen, index[-1])
+        return (before, px, py), jnp.stack([px, py])
 
     start = jnp.full((), -1, jnp.int32), position[0], position[1]
     _, points_ahead = jax.lax.scan(pick, start, length=points)
@@ -238,21 +256,26 @@ def _places_along(
     legs = _legs(navigation, position, goal, paths_to_goal, last)
 
     # The piece of the path, a segment or an arc, on which each place lies.
-    ends = jnp.cumsum(legs.lengths.reshape(-1))
+    lengths = legs.lengths.reshape(-1)
+    ends = jnp.cumsum(lengths)
     piece = jnp.sum(along[:, None] > ends[None, :], axis=1, dtype=jnp.int32)
     beyond = piece >= ends.shape[0]
     piece = jnp.minimum(piece, ends.shape[0] - 1)
     leg = piece // 2
-    begins = ends - legs.lengths.reshape(-1)
+    begins = ends - lengths
     on_piece = along - begins[piece]  # (K,) m
 
+    # Segments and arcs take turns.
     ux, uy = unit(legs.gap[leg, 0], legs.gap[leg, 1])
     angle = legs.arrival_angle[leg] + on_piece / navigation.radius
-    arc_x, arc_y = jax.vmap(_on_arc, (None, 0, 0))(navigation, legs.arc[leg], angle)
+    on_arcs = jax.vmap(_on_arc, (None, 0, 0))
+    arc_x, arc_y = on_arcs(navigation, legs.arc[leg], angle)
     is_arc = piece % 2 == 1
     x = jnp.where(is_arc, arc_x, legs.place[leg, 0] + on_piece * ux)
     y = jnp.where(is_arc, arc_y, legs.place[leg, 1] + on_piece * uy)
-    return jnp.where(beyond, goal[0], x), jnp.where(beyond, goal[1], y)
+    x = jnp.where(beyond, goal[0], x)
+    y = jnp.where(beyond, goal[1], y)
+    return x, y
 
 
 def _legs(navigation: Navigation, position: Array, goal: Array, paths_to_goal: PathsToGoal, last: Array) -> PathLeg:
@@ -274,7 +297,8 @@ def _legs(navigation: Navigation, position: Array, goal: Array, paths_to_goal: P
         is_last = last[arc] == arc
         lengths = jnp.stack([length(gap[0], gap[1]), radius * turn])
         leg = PathLeg(place, gap, arc, tangent.angle, lengths)
-        return (after_arc, jnp.where(is_last, arc, next_arc), to_goal | is_last), leg
+        arc = jnp.where(is_last, arc, next_arc)
+        return (after_arc, arc, to_goal | is_last), leg
 
     carry = start.place, start.arc, start.straight | ~jnp.isfinite(start.around)
     _, legs = jax.lax.scan(follow, carry, length=PLAN_ARCS + 1)
@@ -288,4 +312,6 @@ def _on_arc(navigation: Navigation, arc: Array, angle: Array) -> tuple[Array, Ar
     corner = arcs.corner[arc]
     signed = arcs.side[arc] * angle
     nx, ny = rotate(middle[0], middle[1], jnp.cos(signed), jnp.sin(signed))
-    return corner[0] + navigation.radius * nx, corner[1] + navigation.radius * ny
+    x = corner[0] + navigation.radius * nx
+    y = corner[1] + navigation.radius * ny
+    return x, y

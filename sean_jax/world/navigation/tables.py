@@ -82,8 +82,10 @@ def cell_of(
 def arc_bits(words: UInt8[Array, "*places V8"], number: int) -> Bool[Array, "..."]:
     """The bits of ``Navigation.visible``, for each of so many arcs."""
     masks = (1 << np.arange(8)).astype(np.uint8)
-    bits = words[..., None] & masks.reshape((1,) * words.ndim + (8,))
-    return (bits != 0).reshape(*words.shape[:-1], -1)[..., :number]
+    masks = masks.reshape((1,) * words.ndim + (8,))
+    bits = (words[..., None] & masks) != 0  # (*places, V8, 8)
+    bits = bits.reshape(*words.shape[:-1], -1)
+    return bits[..., :number]
 
 
 class CommonTangents(NamedTuple):
@@ -145,16 +147,18 @@ def _make(environment: Environment, radius: float, cell: float | None) -> dict[s
     floor = np.asarray(environment.floor)
     cell = _default_cell(floor) if cell is None else cell
     n_cells = np.ceil((floor[2:] - floor[:2]) / cell).astype(int)
-    middles = floor[:2] + (np.indices(tuple(n_cells)).reshape(2, -1).T + 0.5) * cell
+    cells = np.indices(tuple(n_cells)).reshape(2, -1).T
+    middles = floor[:2] + (cells + 0.5) * cell  # (X * Y, 2) m
     spots = np.concatenate([places, middles.astype(np.float32)])
     shared = in_programs(boxes), in_programs(arcs), jnp.asarray(radius, float)
     visible = map_in_batches(_visible_arcs, shared, spots)[:, :n_arcs]
     from_places, from_cells = np.split(visible, [FREE_POINTS])
+    from_cells = from_cells.reshape(*n_cells, -1)  # (X, Y, V)
 
     return {
         **{name: getattr(arcs, name) for name in FIELDS},
         **_shortest_chains(n_arcs, links, radius),
-        "visible": np.packbits(from_cells.reshape(*n_cells, -1), axis=-1, bitorder="little"),
+        "visible": np.packbits(from_cells, axis=-1, bitorder="little"),
         "cell": np.asarray(cell),
         "places": places[_connected(from_places, links)],
     }
@@ -163,7 +167,8 @@ def _make(environment: Environment, radius: float, cell: float | None) -> dict[s
 def _default_cell(floor: np.ndarray) -> float:
     """Side [m] of the cells of the visibility grid: a multiple of ``CELL``."""
     area = float(np.prod(floor[2:] - floor[:2]))
-    return CELL * max(1, math.ceil(math.sqrt(area / MAX_CELLS) / CELL))
+    min_cell = math.sqrt(area / MAX_CELLS)
+    return CELL * max(1, math.ceil(min_cell / CELL))
 
 
 def _visible_arcs(shared: tuple[Obstacles, CornerArcs, Array], spot: Array) -> Array:
@@ -236,7 +241,8 @@ def _shortest_chains(n_arcs: int, links: CommonTangents, radius: float) -> dict[
         changed = False
         for target in range(n_arcs):
             into = slice(ends[target], ends[target + 1])
-            changed |= _relax(chains, target, CommonTangents(*(field[into] for field in links)), radius)
+            links_into = CommonTangents(*(field[into] for field in links))
+            changed |= _relax(chains, target, links_into, radius)
 
     # The first arc of distances and arrivals is the one to which the path leads.
     return {
@@ -254,19 +260,23 @@ def _relax(chains: Chains, target: int, links: CommonTangents, radius: float) ->
         return False
     feasible = chains.arrival_angle[:, links.source] <= links.departure_angle + STRAIGHT
     rotation = links.departure_angle - links.arrival_angle
-    total = chains.distance[:, links.source] + (links.length + radius * rotation)
+    link_length = links.length + radius * rotation
+    total = chains.distance[:, links.source] + link_length
     total = np.where(feasible, total, np.inf)  # (V, links)
 
+    # The first arcs that have a shorter chain by their best link.
     link = np.argmin(total, axis=1)
     shortest = np.take_along_axis(total, link[:, None], 1)[:, 0]
     start = np.flatnonzero(shortest < chains.distance[:, target] - 1e-9)
     link = link[start]
+    source = links.source[link]
     leave = links.departure_angle[link]
     enter = links.arrival_angle[link]
-    to_source = start, links.source[link]
+    to_source = start, source
     to_target = start, target
 
-    is_first = links.source[link] == start
+    # The chain is the link alone, or goes on from a chain to its source.
+    is_first = source == start
     chains.distance[to_target] = shortest[start]
     chains.arrival_angle[to_target] = enter
     chains.rotation[to_target] = chains.rotation[to_source] + leave - enter
@@ -295,7 +305,8 @@ def find_arcs(environment: Environment, radius: float) -> CornerArcs:
 
     # Paths over narrower ranges may go straight.
     wide = high - low > np.sqrt(SLACK / max(radius, SLACK))
-    corner, middle = (field[index[wide]] for field in quarters)
+    corner = quarters.corner[index[wide]]
+    middle = quarters.middle[index[wide]]
     low = low[wide]
     high = high[wide]
 
@@ -319,10 +330,12 @@ def find_arcs(environment: Environment, radius: float) -> CornerArcs:
 
 def _quarters(boxes: Obstacles) -> Quarters:
     signs = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
-    center, half, yaw = (np.asarray(field, float) for field in (boxes.center, boxes.half_extent, boxes.yaw))
+    center = np.asarray(boxes.center, float)
+    half = np.asarray(boxes.half_extent, float)
+    yaw = np.asarray(boxes.yaw, float)[:, None]
     diagonal = np.broadcast_to(signs / np.sqrt(2), (len(yaw), 4, 2))
-    corner = center[:, None] + _rotated(half[:, None] * signs, yaw[:, None])  # (W, 4, 2)
-    middle = _rotated(diagonal, yaw[:, None])
+    corner = center[:, None] + _rotated(half[:, None] * signs, yaw)  # (W, 4, 2)
+    middle = _rotated(diagonal, yaw)
     return Quarters(corner.reshape(-1, 2), middle.reshape(-1, 2))
 
 
@@ -331,10 +344,15 @@ def _free_ranges(
 ) -> tuple[Int[np.ndarray, "R"], Float[np.ndarray, "R"], Float[np.ndarray, "R"]]:
     """The parts of quarters on which the disc is free: index of the quarter, first and last angle [rad] in it."""
     angles = np.linspace(-np.pi / 4, np.pi / 4, SAMPLES)
-    samples = [_is_free(environment, radius, quarters, np.full(len(quarters.corner), angle)) for angle in angles]
+    samples = []
+    for angle in angles:
+        same_angle = np.full(len(quarters.corner), angle)
+        samples.append(_is_free(environment, radius, quarters, same_angle))
     clear = np.stack(samples, 1)  # (K, SAMPLES)
 
-    change = np.diff(np.pad(clear, [(0, 0), (1, 1)]).astype(int), axis=1)
+    # A part begins where samples become free, and ends before they are covered again.
+    between_covered = np.pad(clear, [(0, 0), (1, 1)])
+    change = np.diff(between_covered.astype(int), axis=1)
     index, first = np.nonzero(change == 1)
     _, last = np.nonzero(change == -1)
     last = last - 1
@@ -352,8 +370,9 @@ def _is_free(
     environment: Environment, radius: float, quarters: Quarters, angle: Float[np.ndarray, "K"]
 ) -> Bool[np.ndarray, "K"]:
     """Whether the disc touches nothing else at an angle [rad], counter-clockwise, of each quarter."""
-    place = quarters.corner + radius * _rotated(quarters.middle, angle)
-    return np.minimum(*signed_distances_on_host(environment, place)) >= radius - 1e-6
+    place = quarters.corner + radius * _rotated(quarters.middle, angle)  # (K, 2) m
+    to_obstacle, to_edge = signed_distances_on_host(environment, place)
+    return np.minimum(to_obstacle, to_edge) >= radius - 1e-6
 
 
 def _bisect(
@@ -374,7 +393,8 @@ def common_tangents(arcs: CornerArcs, radius: float) -> CommonTangents:
     corner, middle, side, first, last = (np.asarray(getattr(arcs, name)) for name in FIELDS)
     gap = corner[None] - corner[:, None]  # (V, V, 2)
     distance = np.hypot(gap[..., 0], gap[..., 1])  # (V, V) m
-    direction = gap / np.maximum(distance, 1e-6)[..., None]
+    divisor = np.maximum(distance, 1e-6)
+    direction = gap / divisor[..., None]
 
     # Tangents that pass the corners on different sides cross the line between them, if the circles are apart.
     from_side = side[:, None]
@@ -382,28 +402,33 @@ def common_tangents(arcs: CornerArcs, radius: float) -> CommonTangents:
     exists = (distance > 1e-6) & (~crossing | (distance >= 2 * radius - SLACK))
 
     # A crossing tangent is tilted against the line of centers by asin(2 r / d), an outer one is parallel to it.
-    sine = np.where(crossing, 2 * radius, 0.0) / np.maximum(distance, 1e-6)
+    sine = np.where(crossing, 2 * radius, 0.0) / divisor
     tilt = from_side * np.arcsin(np.minimum(sine, 1.0))
     along = _rotated(direction, tilt)
     right = np.stack([along[..., 1], -along[..., 0]], -1)  # (V, V, 2)
 
     # A path turns on the free part of an arc alone, so tangents must touch it there.
-    departure = _touch_angle(middle[:, None], side[:, None], right)  # (V, V) rad
+    departure = _touch_angle(middle[:, None], from_side, right)  # (V, V) rad
     arrival = _touch_angle(middle[None], side[None], right)
-    exists &= (departure >= first[:, None] - ANGLE) & (departure <= last[:, None] + ANGLE)
-    exists &= (arrival >= first - ANGLE) & (arrival <= last + ANGLE)
+    lowest = first - ANGLE
+    highest = last + ANGLE
+    exists &= (departure >= lowest[:, None]) & (departure <= highest[:, None])
+    exists &= (arrival >= lowest) & (arrival <= highest)
 
     # From a point of the first circle to one of the second.
     i, j = np.nonzero(exists)  # (P,)
-    begin = corner[i] + radius * side[i, None] * right[i, j]  # (P, 2) m
-    end = corner[j] + radius * side[j, None] * right[i, j]
+    normal = right[i, j]  # (P, 2)
+    begin = corner[i] + radius * side[i, None] * normal  # (P, 2) m
+    end = corner[j] + radius * side[j, None] * normal
     length = np.hypot(*(end - begin).T)
     return CommonTangents(i, j, length, departure[i, j], arrival[i, j], begin, end)
 
 
 def _rotated(vectors: Float[np.ndarray, "*batch 2"], angle: Float[np.ndarray, "..."]) -> Float[np.ndarray, "*batch 2"]:
-    x, y = vectors[..., 0], vectors[..., 1]
-    cosine, sine = np.cos(angle), np.sin(angle)
+    x = vectors[..., 0]
+    y = vectors[..., 1]
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
 
 

@@ -41,23 +41,32 @@ def free_triangles(environment: Environment, radius: float) -> Float[np.ndarray,
     """The floor that is free for a disc of a radius [m] as triangles [m], counter-clockwise, with sharp corners."""
     boxes = _grow(environment, radius)
     corners = _corners(boxes)
-    edges = _shortest_edges(corners, _free_pairs(boxes, corners))
-    triangles = corners[_faces(corners, edges)]  # (T, 3, 2)
+    pairs = _free_pairs(boxes, corners)
+    edges = _shortest_edges(corners, pairs)
+    faces = _faces(corners, edges)
+    triangles = corners[faces]  # (T, 3, 2) m
 
     # Edges also enclose obstacles.
-    return triangles[_clearance(boxes, triangles.mean(1)) > 0.0]
+    clearance = _clearance(boxes, triangles.mean(1))
+    return triangles[clearance > 0.0]
 
 
 def _grow(environment: Environment, radius: float) -> Boxes:
     obstacles = environment.obstacles
     floor = np.asarray(environment.floor, float)
-    center = np.concatenate([obstacles.center, [(floor[:2] + floor[2:]) / 2]], dtype=float)
+    lower = floor[:2]
+    upper = floor[2:]
 
+    # The room comes last.
+    room_center = (lower + upper) / 2
+    center = np.concatenate([obstacles.center, [room_center]], dtype=float)  # (W, 2) m
     half = np.asarray(obstacles.half_extent, float) + radius
-    half = np.concatenate([half, [(floor[2:] - floor[:2]) / 2 - radius]])
-
+    room_half = (upper - lower) / 2 - radius
+    half = np.concatenate([half, [room_half]])
     yaw = np.append(np.asarray(obstacles.yaw, float), 0.0)
-    return Boxes(center, half, np.cos(yaw), np.sin(yaw))
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
+    return Boxes(center, half, cosine, sine)
 
 
 def _obstacles(boxes: Boxes) -> Iterator[Boxes]:
@@ -68,12 +77,15 @@ def _obstacles(boxes: Boxes) -> Iterator[Boxes]:
 
 def _to_frame(boxes: Boxes, points: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "2 ..."]:
     """The points [m], which broadcast with the boxes, in the frame of their box."""
-    x, y = np.moveaxis(points - boxes.center, -1, 0)
+    offsets = points - boxes.center
+    x, y = np.moveaxis(offsets, -1, 0)
     return _rotated(x, y, boxes.cosine, -boxes.sine)
 
 
 def _rotated(x: np.ndarray, y: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> np.ndarray:
-    return np.stack([cosine * x - sine * y, sine * x + cosine * y])
+    u = cosine * x - sine * y
+    v = sine * x + cosine * y
+    return np.stack([u, v])
 
 
 def _cross(u: Float[np.ndarray, "*us 2"], v: Float[np.ndarray, "*vs 2"]) -> Float[np.ndarray, "..."]:
@@ -83,13 +95,15 @@ def _cross(u: Float[np.ndarray, "*us 2"], v: Float[np.ndarray, "*vs 2"]) -> Floa
 
 def _clearance(boxes: Boxes, points: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
     """To the nearest side [m] along the axes of its box, negative within an obstacle or outside the room."""
-    batches = np.array_split(points, max(1, len(points) // 1024))
+    n_batches = max(1, len(points) // 1024)
+    batches = np.array_split(points, n_batches)
     return np.concatenate([_clearance_of_batch(boxes, batch) for batch in batches])
 
 
 def _clearance_of_batch(boxes: Boxes, points: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
     local = _to_frame(boxes, points[:, None])  # (2, P, W)
-    beyond = (np.abs(local) - boxes.half.T[:, None]).max(0)  # (P, W), negative inside
+    beyond_sides = np.abs(local) - boxes.half.T[:, None]
+    beyond = beyond_sides.max(0)  # (P, W), negative inside
     beyond[:, -1] *= -1  # the room is free inside
     return beyond.min(1)
 
@@ -106,35 +120,41 @@ def _corners(boxes: Boxes) -> Float[np.ndarray, "K 2"]:
     sides = Segments(corners.reshape(-1, 2), following.reshape(-1, 2))
 
     # Rounded, the same corner of two boxes occurs once.
-    points = np.concatenate([sides.start, *_crossings(sides)])
+    points = np.concatenate([sides.start, *_crossings(sides)])  # (K, 2) m
     rounded = np.round(points / ROUNDING).astype(np.int64)
-    points = np.unique(rounded, axis=0) * ROUNDING
-    points = points[_clearance(boxes, points) >= -2 * ROUNDING]
+    rounded = np.unique(rounded, axis=0)
+    points = rounded * ROUNDING
+    is_free = _clearance(boxes, points) >= -2 * ROUNDING
+    points = points[is_free]
     if len(points) == 0:
         return points
 
     # On either side of a border between two roundings it occurs twice.
-    doubles = KDTree(points).query_pairs(SAME, output_type="ndarray")[:, 1]
-    return np.delete(points, doubles, 0)
+    pairs = KDTree(points).query_pairs(SAME, output_type="ndarray")
+    return np.delete(points, pairs[:, 1], 0)
 
 
 def _crossings(sides: Segments) -> Iterator[Float[np.ndarray, "X 2"]]:
     """Where each side crosses others [m], by Cramer's rule."""
     direction = sides.end - sides.start
-    parallel = 1e-9 * (1.0 + np.abs(direction).max(1))
+    size = np.abs(direction).max(1)
+    parallel = 1e-9 * (1.0 + size)
     for start, along in zip(sides.start, direction, strict=True):
         gap = sides.start - start
         determinant = _cross(along, direction)
         crosses = np.abs(determinant) > parallel
-        scale = 1.0 / np.where(crosses, determinant, 1.0)
+        divisor = np.where(crosses, determinant, 1.0)
+        scale = 1.0 / divisor
 
         # They meet if the crossing of their lines lies on both.
         share = _cross(gap, direction) * scale
         other_share = _cross(gap, along) * scale
         low = np.minimum(share, other_share)
         high = np.maximum(share, other_share)
-        meets = crosses & (low >= 0.0) & (high <= 1.0)
-        yield start + share[meets, None] * along
+        on_both = (low >= 0.0) & (high <= 1.0)
+        meets = crosses & on_both
+        meeting_share = share[meets, None]
+        yield start + meeting_share * along
 
 
 def _free_pairs(boxes: Boxes, corners: Float[np.ndarray, "K 2"]) -> Int[np.ndarray, "P 2"]:
@@ -166,30 +186,39 @@ def _pairs_past_full_cells(boxes: Boxes, corners: Float[np.ndarray, "K 2"]) -> I
     # A cell is full if its corners are in an obstacle as well as its middle.
     cells = np.indices((CELLS, CELLS)).reshape(2, -1).T
     middles = low + (cells + 0.5) * cell  # (CELLS^2, 2) m
-    full = _clearance(boxes, middles) < -np.hypot(*cell) / 2
+    half_diagonal = np.hypot(*cell) / 2
+    full = _clearance(boxes, middles) < -half_diagonal
     full = full.reshape(CELLS, CELLS)
 
+    # Each sample leaves the pairs between which it lies in no full cell.
     pairs = np.stack(np.triu_indices(len(corners), 1), 1)  # (P, 2)
-    for share in np.arange(1, SAMPLES + 1) / (SAMPLES + 1):
+    for sample in range(1, SAMPLES + 1):
+        share = sample / (SAMPLES + 1)
         start, end = _between(corners, pairs)
         samples = (1 - share) * start + share * end
-        cells = np.clip((samples - low) // cell, 0, CELLS - 1)
+        cells = (samples - low) // cell
+        cells = np.clip(cells, 0, CELLS - 1)
         i, j = cells.astype(int).T
-        pairs = pairs[~full[i, j]]
+        is_full = full[i, j]
+        pairs = pairs[~is_full]
     return pairs
 
 
 def _enters_box(segments: Segments, box: Boxes) -> Bool[np.ndarray, "P"]:
     """Whether each segment enters the inside of a box (slab method; Kay and Kajiya 1986)."""
     start = _to_frame(box, segments.start)  # (2, P)
-    direction = _to_frame(box, segments.end) - start
-    direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
+    end = _to_frame(box, segments.end)
+    direction = end - start
+    is_parallel = np.abs(direction) < 1e-12
+    direction = np.where(is_parallel, 1e-12, direction)
 
     half = np.maximum(box.half - 2 * SAME, 0.0)[:, None]  # a segment along a side does not enter
     at_low = (-half - start) / direction
     at_high = (half - start) / direction
-    enter = np.maximum(np.minimum(at_low, at_high).max(0), 0.0)
-    leave = np.minimum(np.maximum(at_low, at_high).min(0), 1.0)
+    first = np.minimum(at_low, at_high).max(0)
+    last = np.maximum(at_low, at_high).min(0)
+    enter = np.maximum(first, 0.0)
+    leave = np.minimum(last, 1.0)
     return enter < leave
 
 
@@ -199,9 +228,12 @@ def _passes_through(segments: Segments, corner: Float[np.ndarray, "2"]) -> Bool[
     length = np.hypot(*direction.T)
 
     gap = corner - segments.start
-    along = (gap * direction).sum(1) / length
+    product = (gap * direction).sum(1)
+    along = product / length
     across = np.abs(_cross(direction, gap))  # times the length
-    return (across < SAME * length) & (along > SAME) & (along < length - SAME)
+    is_near = across < SAME * length
+    is_between = (along > SAME) & (along < length - SAME)
+    return is_near & is_between
 
 
 # --- edges and triangles ---
@@ -214,10 +246,12 @@ def _shortest_edges(corners: Float[np.ndarray, "K 2"], pairs: Int[np.ndarray, "P
 
     chosen = np.empty((3 * len(corners), 2), int)  # a plane graph has fewer edges
     count = 0
-    for a, b in pairs[np.argsort(length, kind="stable")]:
-        if not _crosses_any(corners, a, b, chosen[:count]):
-            chosen[count] = a, b
-            count += 1
+    order = np.argsort(length, kind="stable")
+    for a, b in pairs[order]:
+        if _crosses_any(corners, a, b, chosen[:count]):
+            continue
+        chosen[count] = a, b
+        count += 1
     return chosen[:count]
 
 
@@ -227,11 +261,13 @@ def _crosses_any(corners: Float[np.ndarray, "K 2"], a: int, b: int, edges: Int[n
     apart = (c != a) & (c != b) & (d != a) & (d != b)
 
     # They cross if the ends of each lie on different sides of the other.
-    start, end = corners[a], corners[b]
-    starts, ends = corners[c], corners[d]  # (E, 2)
-    crosses = _left_of(start, end, starts) != _left_of(start, end, ends)
-    crosses &= _left_of(starts, ends, start) != _left_of(starts, ends, end)
-    return bool((apart & crosses).any())
+    start = corners[a]
+    end = corners[b]
+    starts = corners[c]  # (E, 2)
+    ends = corners[d]
+    splits = _left_of(start, end, starts) != _left_of(start, end, ends)
+    is_split = _left_of(starts, ends, start) != _left_of(starts, ends, end)
+    return bool((apart & splits & is_split).any())
 
 
 def _left_of(start: np.ndarray, end: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -242,13 +278,14 @@ def _left_of(start: np.ndarray, end: np.ndarray, point: np.ndarray) -> np.ndarra
 def _faces(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) -> Int[np.ndarray, "T 3"]:
     """The triangles that edges enclose, counter-clockwise."""
     wedges = _wedges(corners, edges)
-    lowest = wedges.argmin(1)
-    rotation = (lowest[:, None] + np.arange(3)) % 3
+    lowest = wedges.argmin(1)[:, None]
+    rotation = (lowest + np.arange(3)) % 3
     wedges = np.take_along_axis(wedges, rotation, 1)
 
     # A triangle is a wedge of each of its three corners.
     triangles, counts = np.unique(wedges, axis=0, return_counts=True)
-    triangles = triangles[counts == 3]
+    complete = counts == 3
+    triangles = triangles[complete]
 
     # The rest is the outside of a triangle that is apart from all others.
     first, second, third = corners[triangles.T]
@@ -257,14 +294,18 @@ def _faces(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) -> 
 
 def _wedges(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) -> Int[np.ndarray, "W 3"]:
     """Each corner with two of its neighbors that follow one another counter-clockwise."""
-    directed = np.concatenate([edges, edges[:, ::-1]])
+    backward = edges[:, ::-1]
+    directed = np.concatenate([edges, backward])
     start, end = _between(corners, directed)
     dx, dy = (end - start).T
-    order = np.lexsort((np.arctan2(dy, dx), directed[:, 0]))
+    angle = np.arctan2(dy, dx)
+    order = np.lexsort((angle, directed[:, 0]))
     source, target = directed[order].T
 
     # The last neighbor of a corner is followed by the first.
     following = np.arange(1, len(source) + 1)
     _, first, count = np.unique(source, return_index=True, return_counts=True)
-    following[first + count - 1] = first
-    return np.stack([source, target, target[following]], 1)
+    last = first + count - 1
+    following[last] = first
+    next_target = target[following]
+    return np.stack([source, target, next_target], 1)
