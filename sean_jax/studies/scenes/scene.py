@@ -81,21 +81,25 @@ def room(lower: Point, upper: Point, doors: Iterable[tuple[Point, Point]] = ()) 
     # A door belongs to a side by equal coordinates: rounded ones are refused, not moved.
     openings: dict[tuple[str, float], list[tuple[float, float]]] = {side: [] for side in sides}
     for (ax, ay), (bx, by) in doors:
-        side = ("x", ax) if ax == bx else ("y", ay)
-        if side not in openings:
+        if ("x", ax) in openings and ax == bx:
+            openings["x", ax].append((min(ay, by), max(ay, by)))
+        elif ("y", ay) in openings and ay == by:
+            openings["y", ay].append((min(ax, bx), max(ax, bx)))
+        else:
             raise InputError(f"doors: {((ax, ay), (bx, by))} lies on no side of the room from {lower} to {upper}.")
-        openings[side].append((min(ay, by), max(ay, by)) if ax == bx else (min(ax, bx), max(ax, bx)))
 
     # Walls are what is left of a side between doors; the two along y have the corners as well.
     plan = []
-    for side, (inner, outer) in sides.items():
-        first, last = (y0 - THICK, y1 + THICK) if side[0] == "x" else (x0, x1)
+    for (axis, coordinate), (inner, outer) in sides.items():
+        begin, last = (y0 - THICK, y1 + THICK) if axis == "x" else (x0, x1)
 
-        # Ends in a row alternate: the begin of a wall, its end at a door, and the next begin.
-        ends = [first, *(end for opening in sorted(openings[side]) for end in opening), last]
-        for begin, end in zip(ends[::2], ends[1::2], strict=True):
-            if end > begin:
-                plan.append(box((inner, begin), (outer, end)) if side[0] == "x" else box((begin, inner), (end, outer)))
+        # A wall begins at the farthest end of the doors before it, because doors may overlap.
+        for end, next_begin in [*sorted(openings[axis, coordinate]), (last, last)]:
+            if end > begin and axis == "x":
+                plan.append(box((inner, begin), (outer, end)))
+            elif end > begin:
+                plan.append(box((begin, inner), (end, outer)))
+            begin = max(begin, next_begin)
     return np.concatenate(plan)
 
 
