@@ -262,13 +262,13 @@ def single_file_diagram(context: CheckContext) -> CheckResult:
 
 
 class FileMotion(NamedTuple):
-    """How people in a single file move; means over draws."""
+    """How people in a single file move, in one draw or on average."""
 
     speed: float  # m/s
     deviation: float  # m/s, of a person in time
     correlation: float  # of the wave
-    delay: float  # s, of the wave from one person to the next; NaN without a wave
-    wave: float  # m/s, speed of the wave
+    delay: float  # s, of the wave from one person to the next
+    wave: float  # m/s, speed of the wave; NaN without one
 
 
 def stop_and_go(context: CheckContext) -> CheckResult:
@@ -289,8 +289,7 @@ def stop_and_go(context: CheckContext) -> CheckResult:
 
     words, numbers, passed = [], {}, []
     for number, draws in motions.items():
-        # NaN in one draw without a wave makes the mean NaN, and a comparison with NaN is false: it fails.
-        mean = FileMotion(*np.mean(draws, axis=0).tolist())
+        mean, waves = _mean_motion(draws)
         known_speed, known_deviation, known_delay, known_wave = WAVES[number]
         as_wide = abs(mean.deviation / known_deviation - 1.0) <= WAVE_TOLERANCE
         as_fast = abs(mean.wave - known_wave) <= WAVE_SPEED_TOLERANCE  # not where there is no wave
@@ -300,11 +299,13 @@ def stop_and_go(context: CheckContext) -> CheckResult:
         numbers[number] = mean._asdict()
 
         wave_words = "no wave in all draws"
-        if np.isfinite(mean.delay):
+        if waves:
             wave_words = (
                 f"a wave of {mean.wave:.2f} m/s (recorded {known_wave:.2f}), {mean.delay:.1f} s from one to the next "
                 f"(recorded {known_delay:.1f})"
             )
+        if 0 < waves < len(draws):
+            wave_words += f", in {waves} of {len(draws)} draws"
 
         words.append(
             f"{number / WAVE_LOOP:.2f} /m: {mean.deviation:.3f} m/s (recorded {known_deviation:.3f}), mean "
@@ -330,6 +331,18 @@ def _file_motion(tracks: Tracks) -> tuple[np.ndarray, FileMotion]:
     x = np.asarray(tracks.position)[-round(WAVE_COUNTED / tracks.time_step) :: STEP, :, 0]
     speed = np.asarray(steps_along(x, WAVE_LOOP) / time_step, float)
     return speed, FileMotion(speed.mean(), deviation_in_time(speed), *wave(speed, WAVE_LOOP, time_step))
+
+
+def _mean_motion(draws: list[FileMotion]) -> tuple[FileMotion, int]:
+    """The mean over draws, and how many draws have a wave.
+
+    Only draws with a wave count in the means of the wave, which are NaN if there is none.
+    """
+    motions = np.array(draws, float)  # (draws, 5)
+    has_wave = np.isfinite(motions[:, -1])
+    mean = motions.mean(axis=0)
+    mean[2:] = motions[has_wave, 2:].mean(axis=0) if has_wave.any() else np.nan
+    return FileMotion(*mean.tolist()), int(has_wave.sum())
 
 
 def _ranked(speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
