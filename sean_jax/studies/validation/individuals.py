@@ -53,7 +53,8 @@ def two(angle: float, offset: float, speeds: tuple[float, float]) -> Scene:
     ways = np.array([[1.0, 0.0], [np.cos(angle), np.sin(angle)]])
     drift = speeds[0] * ways[0] - speeds[1] * ways[1]
     aside = np.array([drift[1], -drift[0]]) / np.hypot(*drift)
-    start = -BEFORE * np.array(speeds)[:, None] * ways + 0.5 * offset * np.array([aside, -aside])  # (2, 2) m
+    before = -BEFORE * np.array(speeds)[:, None] * ways
+    start = before + 0.5 * offset * np.array([aside, -aside])  # (2, 2) m
 
     people = []
     gates = []
@@ -215,7 +216,8 @@ def _nearest(scene: Scene, tracks: Tracks) -> np.ndarray:
 
     # People walk on beyond the period, past the images of the robot there.
     step = steps_along(position[..., 0], scene.period)
-    x = np.concatenate([position[:1, :, 0], position[:1, :, 0] + np.cumsum(step, 0)])
+    first_x = position[:1, :, 0]
+    x = np.concatenate([first_x, first_x + np.cumsum(step, 0)])
     position = np.stack([x, position[..., 1]], -1)
     first = int(np.floor(x.min() / scene.period)) - 1
     last = int(np.ceil(x.max() / scene.period))

@@ -300,7 +300,8 @@ def separation(a: Float[Any, "T *shape 2"], b: Float[Any, "T *shape 2"]) -> Floa
     squared = (step * step).sum(-1)
 
     # The share of each step at which the line from moment to moment is nearest.
-    share = -(gap[:-1] * step).sum(-1) / xp.where(squared > 0.0, squared, 1.0)
+    towards = -(gap[:-1] * step).sum(-1)
+    share = towards / xp.where(squared > 0.0, squared, 1.0)
     share = xp.clip(share, 0.0, 1.0)
     nearest = gap[:-1] + share[..., None] * step
     distance = xp.sqrt((nearest * nearest).sum(-1))
@@ -329,7 +330,8 @@ def body_gaps(
     pair_shape = None
     if shape is not None:
         pair_shape = tuple(part[..., :, None] + part[..., None, :] for part in shape)
-    gap = xp.sqrt(dx * dx + dy * dy) - xp.asarray(walking.radii(dx, dy, pair_shape))
+    distance = xp.sqrt(dx * dx + dy * dy)
+    gap = distance - xp.asarray(walking.radii(dx, dy, pair_shape))
 
     people = present.shape[-1]
     others = xp.broadcast_to(~xp.eye(people, dtype=bool), (*present.shape, people))
@@ -495,8 +497,8 @@ def sideways(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T 
 
     # The distance from a line is the cross product over its length.
     gap = position - start  # (T, N, 2) m
-    cross = np.abs(gap[..., 0] * line[:, 1] - gap[..., 1] * line[:, 0])
-    distance = cross / np.where(length > 0.0, length, 1.0)
+    cross = gap[..., 0] * line[:, 1] - gap[..., 1] * line[:, 0]
+    distance = np.abs(cross) / np.where(length > 0.0, length, 1.0)
     largest = np.where(present, distance, 0.0).max(0)
     return np.where(length >= LONG, largest, np.nan)
 

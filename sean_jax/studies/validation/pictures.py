@@ -36,7 +36,8 @@ def extent(places: Float[np.ndarray, "K 2"]) -> tuple[np.ndarray, np.ndarray]:
 def wall_corners(walls: Float[np.ndarray, "W 5"]) -> Float[np.ndarray, "W 4 2"]:
     """The corners [m] of the walls of a scene."""
     walls = np.asarray(walls, float).reshape(-1, 5)
-    sides = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * walls[:, None, 2:4]  # (W, 4, 2)
+    signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    sides = signs * walls[:, None, 2:4]  # (W, 4, 2)
     cosine = np.cos(walls[:, None, 4])
     sine = np.sin(walls[:, None, 4])
     x = sides[..., 0] * cosine - sides[..., 1] * sine
@@ -100,7 +101,8 @@ def _draw_paths(axes: "Axes", position: Float[np.ndarray, "T N 2"], present: np.
     people = present.shape[1]
     drawn = np.linspace(0, people - 1, min(PATHS, people)).astype(int)
     for person in drawn:
-        path = np.where(present[:, person, None], position[:, person], np.nan)[::STRIDE]
+        path = np.where(present[:, person, None], position[:, person], np.nan)
+        path = path[::STRIDE]
         step = np.linalg.norm(np.diff(path, axis=0, prepend=path[:1]), axis=1)
         path[step > STRIDE] = np.nan  # around a period
         axes.plot(*path.T, color=colors.TRAIL, linewidth=0.9, alpha=0.7, zorder=3, rasterized=True)

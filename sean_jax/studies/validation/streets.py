@@ -91,8 +91,10 @@ def streets(path: str | Path) -> list[Street]:
     goal = position[last, people]
     way = np.linalg.norm(goal - position[first, people], axis=-1)
     walks = (way > LEAST_WAY) & (present.sum(0) >= LEAST_MOMENTS)
-    step = np.linalg.norm(np.diff(position, axis=0), axis=-1) * (present[1:] & present[:-1])
-    speed = step.sum(0) / np.maximum((last - first) * tracks.time_step, tracks.time_step)
+    both = present[1:] & present[:-1]
+    step = np.linalg.norm(np.diff(position, axis=0), axis=-1) * both  # (T - 1, N) m
+    time = (last - first) * tracks.time_step
+    speed = step.sum(0) / np.maximum(time, tracks.time_step)
 
     windows = []
     for begin in range(0, len(position) - 1, WINDOW):
@@ -125,11 +127,15 @@ def walked_again(street: Street) -> Scene:
     crowd = []
     gates = []
     for k in people:
-        crowd.append(walkers(start[k : k + 1], route=(k,), speed=street.speed[k], velocity=tuple(velocity[k])))
+        person = walkers(start[k : k + 1], route=(k,), speed=street.speed[k], velocity=tuple(velocity[k]))
+        crowd.append(person)
 
         # The normal to the left of (x, y) is (-y, x); the other end is opposite to it.
-        left = street.goal[k] + 0.5 * GATE * np.array([-way[k, 1], way[k, 0]])
-        gates.append(Gate(tuple(left), tuple(2.0 * street.goal[k] - left)))
+        goal = street.goal[k]
+        x, y = way[k]
+        left = goal + 0.5 * GATE * np.array([-y, x])
+        right = 2.0 * goal - left
+        gates.append(Gate(tuple(left), tuple(right)))
 
     # Members of a group walk side by side: each has the one on the right and the one on the left as companions.
     companion = np.full((len(people), 2), -1, np.int32)
@@ -220,11 +226,16 @@ def compare_walks(walks: dict[str, tuple[Walk, Walk]]) -> CheckResult:
 
         numbers |= {f"{name}_{scene}": value for name, value in simulated.items()}
         numbers |= {f"{name}_{scene}_recorded": value for name, value in known.items()}
-        pairs = [f"{name.replace('_', ' ')} {value:.2f} ({known[name]:.2f})" for name, value in simulated.items()]
-        words.append(f"{scene}: {', '.join(pairs)}")
+        values = []
+        for name, value in simulated.items():
+            values.append(f"{name.replace('_', ' ')} {value:.2f} ({known[name]:.2f})")
+        words.append(f"{scene}: {', '.join(values)}")
 
     # The geometric mean: twice and half as much as recorded balance each other.
-    mean = {name: float(np.exp(np.mean(np.log(values)))) for name, values in ratios.items()}
+    mean = {}
+    for name, values in ratios.items():
+        logarithm = np.mean(np.log(values))
+        mean[name] = float(np.exp(logarithm))
     numbers |= {f"ratio_{name}": value for name, value in mean.items()}
 
     number, scenes = numbered(walks)
