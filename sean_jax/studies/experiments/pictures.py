@@ -370,7 +370,7 @@ def situations(rows: Sequence[RankingRow]) -> Figure:
         shifted = x + (number - (len(rows) - 1) / 2) * width
         ends = _ends(*row.violations[:3])
         color = shades(number / max(len(rows) - 1, 1) * 0.9)
-        style = {"fmt": "o", "ms": 4, "capsize": 2, "color": color}
+        style: Any = {"fmt": "o", "ms": 4, "capsize": 2, "color": color}
         axes.errorbar(shifted, row.violations.mean, ends, label=row.entry.name, **style)
     axes.set_xticks(x, _situation_names(" "))
     axes.set_ylim(bottom=0)

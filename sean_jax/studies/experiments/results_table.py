@@ -245,9 +245,10 @@ def estimate(
     divisors = None if per is None else per.groups(by)
     for labels, group in table.groups(by).items():
         values, sizes = group.matrix(across, units)
-        limits = bounds
         if isinstance(bounds, Mapping):
             limits = bounds.get(group.label("measure", 0), UNBOUNDED)
+        else:
+            limits = bounds
         if divisors is None:
             estimates[labels] = aggregate(values, weights=draw(sizes), bounds=limits)
         else:

@@ -468,8 +468,8 @@ def annotate(annotation: Annotation, fit: GraphFit, closed: bool, source: str) -
         ends.append([index[name] for name in edge.between])
     median = 0.0
     if ends:
-        a, b = np.transpose(ends)
-        median = np.median([factor[a, b], factor[b, a]])
+        first, second = np.transpose(ends)
+        median = float(np.median([factor[first, second], factor[second, first]]))
 
     edges = []
     for edge, (a, b) in zip(annotation.edges, ends, strict=True):

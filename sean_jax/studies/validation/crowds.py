@@ -428,7 +428,7 @@ def lanes(context: CheckContext) -> CheckResult:
     until = []
     for draws in order:
         times = [time_until(series, LANE_ORDER) for series in draws]
-        until.append(np.mean(times))
+        until.append(float(np.mean(times)))
 
     # Moments are 0.1 s apart; the plot has one in 2 s.
     end = 0.1 * (moments - 1)
