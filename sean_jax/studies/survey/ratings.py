@@ -407,6 +407,7 @@ def _measure(episode: RatedEpisode) -> dict[str, Array]:
     def always(value: Array) -> Array:
         return jnp.broadcast_to(value, (recorded.shape[0], *jnp.shape(value)))
 
+    # A recording says nothing about the task: each snapshot gets goal, way and obstacles of the file.
     gap = episode.goal - snapshots.start[0]
     snapshots = replace(
         snapshots,
@@ -421,6 +422,7 @@ def _measure(episode: RatedEpisode) -> dict[str, Array]:
     first = jax.tree.map(lambda leaf: leaf[0], snapshots)
 
     def update(carry: tuple, row: tuple) -> tuple[tuple, None]:
+        # After the end of the trajectory the values stay as they are.
         before, values = carry
         after, is_recorded = row
         updated = {name: metric.update(values[name], before, after) for name, metric in MEASURED.items()}
@@ -431,6 +433,7 @@ def _measure(episode: RatedEpisode) -> dict[str, Array]:
     rest = jax.tree.map(lambda leaf: leaf[1:], (snapshots, recorded))
     (_, values), _ = jax.lax.scan(update, begin, rest)
 
+    # Of metrics of several numbers, the first one counts.
     metrics = {}
     for name, metric in MEASURED.items():
         value = metric.compute(values[name])

@@ -93,9 +93,12 @@ def streets(path: str | Path) -> list[Street]:
     walks = (way > LEAST_WAY) & (present.sum(0) >= LEAST_MOMENTS)
     both = present[1:] & present[:-1]
     step = np.linalg.norm(np.diff(position, axis=0), axis=-1) * both  # (T - 1, N) m
+
+    # The mean speed is the whole way over the whole time, with gaps in it.
     time = (last - first) * tracks.time_step
     speed = step.sum(0) / np.maximum(time, tracks.time_step)
 
+    # Goals and speeds are of the whole recording, also if a person is in several windows.
     windows = []
     for begin in range(0, len(position) - 1, WINDOW):
         window = slice(begin, begin + WINDOW)
