@@ -473,8 +473,8 @@ def annotate(annotation: Annotation, fit: GraphFit, closed: bool, source: str) -
 
     edges = []
     for edge, (a, b) in zip(annotation.edges, ends, strict=True):
-        forth = _relative_factor(factor[a, b], median)
-        back = _relative_factor(factor[b, a], median)
+        forth = _relative_factor(float(factor[a, b]), median)
+        back = _relative_factor(float(factor[b, a]), median)
         plain = max(abs(forth - 1.0), abs(back - 1.0)) <= MEDIUM
         edges.append(Edge(between=edge.between, weights=None if plain else (forth, back)))
     return annotation.model_copy(update={"nodes": nodes, "edges": edges, "source": source})

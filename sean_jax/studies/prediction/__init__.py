@@ -250,7 +250,7 @@ def _every_ten_frames(path: Path) -> np.ndarray:
 
 def cut_windows(places: np.ndarray, length: int = SEEN + PREDICTED) -> Windows:
     """The windows of some moments of a recording (T, N, 2) m, NaN of absent people."""
-    present_at = np.isfinite(places).all(-1)  # (T, N)
+    present_at = np.asarray(np.isfinite(places).all(-1))  # (T, N)
     windows = []
     for begin in range(len(places) - length + 1):
         window = slice(begin, begin + length)
