@@ -490,7 +490,8 @@ def _annotated_nodes(annotation: Annotation, fit: GraphFit, closed: bool) -> dic
     """The nodes with weights of waypoints, stays and capacities of groups, and in an open population entrances."""
     is_group = np.array([node.kind == "group" for node in annotation.nodes.values()])
     weight = _relative(np.asarray(fit.weights.goal, float), ~is_group)
-    spawn = _relative(np.asarray(fit.weights.start, float), np.ones(len(is_group), bool))
+    every_node = np.ones(len(is_group), bool)
+    spawn = _relative(np.asarray(fit.weights.start, float), every_node)
     group = np.cumsum(is_group) - 1  # number of the group
     nodes: dict[str, Node] = {}
     for number, (name, node) in enumerate(annotation.nodes.items()):
