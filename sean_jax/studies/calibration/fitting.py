@@ -54,13 +54,18 @@ def names_of(forces: Forces, chosen: Sequence[str] = ()) -> list[str]:
     if chosen:
         return [name for name in BOUNDS if name in chosen]
     inert = _inert(terms.get("repulsion"))
-    return [name for name, value in values.items() if value is not None and float(value) < OFF and name not in inert]
+    present = {name: value for name, value in values.items() if value is not None and name not in inert}
+    return [name for name, value in present.items() if float(value) < OFF]
 
 
 def _inert(repulsion: Any) -> set[str]:
     """Parameters that the law and the sight of a repulsion do not read."""
-    functions = [getattr(repulsion, name, None) for name in ("law", "sight")]
-    return set().union(*(INERT.get(getattr(function, "__name__", ""), set()) for function in functions))
+    inert: set[str] = set()
+    for part in ("law", "sight"):
+        function = getattr(repulsion, part, None)
+        name = getattr(function, "__name__", "")
+        inert |= INERT.get(name, set())
+    return inert
 
 
 def _value(terms: dict[str, Any], name: str) -> Any:
@@ -78,7 +83,8 @@ def to_free(names: Sequence[str], values: Float[Array, "*batch P"]) -> Float[Arr
     """Parameters (..., P) as unbounded numbers; values outside their bounds are moved to them first."""
     low, high, logarithmic = _scales(names, values.ndim)
     safe = jnp.where(logarithmic, low, 1.0)
-    by_logarithm = jnp.log(jnp.maximum(values, 1e-9) / safe) / jnp.log(jnp.where(logarithmic, high / safe, 2.0))
+    ratio = jnp.maximum(values, 1e-9) / safe
+    by_logarithm = jnp.log(ratio) / jnp.log(jnp.where(logarithmic, high / safe, 2.0))
     share = jnp.where(logarithmic, by_logarithm, (values - low) / (high - low))
     share = jnp.clip(share, EDGE, 1.0 - EDGE)
     return jnp.log(share) - jnp.log1p(-share)
@@ -88,15 +94,19 @@ def from_free(names: Sequence[str], free: Float[Array, "*batch P"]) -> Float[Arr
     """The inverse of ``to_free``: (..., P) parameters within their bounds."""
     low, high, logarithmic = _scales(names, free.ndim)
     share = jax.nn.sigmoid(free)
-    ratio = jnp.where(logarithmic, high / jnp.where(logarithmic, low, 1.0), 1.0)
-    return jnp.where(logarithmic, low * ratio**share, low + (high - low) * share)
+    ratio = high / jnp.where(logarithmic, low, 1.0)
+    ratio = jnp.where(logarithmic, ratio, 1.0)
+    geometric = low * ratio**share
+    linear = low + (high - low) * share
+    return jnp.where(logarithmic, geometric, linear)
 
 
 def _scales(names: Sequence[str], ndim: int) -> tuple[Array, Array, Array]:
     """Bounds (1, ..., P), and whether the scale is logarithmic."""
-    bounds = np.array([BOUNDS[name] for name in names], float).reshape(-1, 2).T
-    bounds = bounds.reshape((2,) + (1,) * (ndim - 1) + (len(names),))
-    return jnp.asarray(bounds[0], float), jnp.asarray(bounds[1], float), jnp.asarray(bounds[0] > 0.0)
+    bounds = np.array([BOUNDS[name] for name in names], float).reshape(-1, 2)  # (P, 2)
+    batch = (1,) * (ndim - 1)
+    low, high = bounds.T.reshape(2, *batch, len(names))
+    return jnp.asarray(low, float), jnp.asarray(high, float), jnp.asarray(low > 0.0)
 
 
 # ------------------------------------------------------------------ predictions
@@ -134,10 +144,16 @@ def losses(scenes: Scenes, rows: Int[Array, "W"], grid: ObstacleGrid | None, for
     def pick(leaf: Any) -> Array:
         return jnp.asarray(leaf)[jnp.maximum(rows, 0)]
 
-    observed, known, after, counted = map(pick, (scenes.observed, scenes.known, scenes.after, scenes.counted))
-    counted = counted & filled[:, None, None]  # (W, S, N)
-    desired = None if scenes.direction is None else pick(scenes.direction) * habits.speed
-    others = None if scenes.others is None else pick(scenes.others)
+    observed = pick(scenes.observed)
+    known = pick(scenes.known)
+    after = pick(scenes.after)
+    counted = pick(scenes.counted) & filled[:, None, None]  # (W, S, N)
+    desired = None
+    if scenes.direction is not None:
+        desired = pick(scenes.direction) * habits.speed
+    others = None
+    if scenes.others is not None:
+        others = pick(scenes.others)
     predicted = predict(
         forces,
         observed,
@@ -165,19 +181,30 @@ def _scene_errors(
     distance = jnp.where(counted, length(error[..., 0], error[..., 1]), 0.0)
     ends = counted[:, -1].astype(float)
 
-    weight, end_weight = total(counted.astype(float).sum((1, 2))), total(ends.sum(1))
+    weight = total(counted.astype(float).sum((1, 2)))  # (E,)
+    end_weight = total(ends.sum(1))
     mean_error = total(distance.sum((1, 2))) / reference[:, 0]
     last_error = total(distance[:, -1].sum(1)) / reference[:, 1]
-    share = jnp.where(end_weight > 0.0, weight / jnp.where(end_weight > 0.0, end_weight, 1.0), 0.0)
+
+    # A scene has several moments for each end: both errors get the same weight.
+    share = weight / jnp.where(end_weight > 0.0, end_weight, 1.0)
+    share = jnp.where(end_weight > 0.0, share, 0.0)
     return 0.5 * (mean_error + share * last_error), weight
 
 
 def _collisions(predicted: Float[Array, "W S N 2"], present: Bool[Array, "W N"]) -> Float[Array, ""]:
     """The cost of predicted people nearer than ``MARGIN``: of each pair when they are nearest."""
-    x, y = predicted[..., 0], predicted[..., 1]
-    gap = length(x[..., :, None] - x[..., None, :], y[..., :, None] - y[..., None, :])  # (W, S, N, N)
-    pairs = present[:, :, None] & present[:, None, :] & ~jnp.eye(present.shape[1], dtype=bool)[None]
-    near = jnp.where(pairs[:, None], jnp.maximum(1.0 - gap / MARGIN, 0.0), 0.0) ** 2
+    x = predicted[..., 0]
+    y = predicted[..., 1]
+    dx = x[..., :, None] - x[..., None, :]  # (W, S, N, N)
+    dy = y[..., :, None] - y[..., None, :]
+    gap = length(dx, dy)
+
+    both = present[:, :, None] & present[:, None, :]
+    others = ~jnp.eye(present.shape[1], dtype=bool)[None]
+    pairs = both & others
+    near = jnp.maximum(1.0 - gap / MARGIN, 0.0)
+    near = jnp.where(pairs[:, None], near, 0.0) ** 2
     return near.max(1).sum()
 
 
@@ -186,8 +213,10 @@ def parts_of(forces: Forces, names: Sequence[str], free: Float[Array, "*batch P"
     values = from_free(names, free[..., : -len(HABITS)])
     fitted = forces.tree_replace({name: values[..., k] for k, name in enumerate(names)})
     shares = jax.nn.sigmoid(free[..., -len(HABITS) :])
-    habits = Habits(*(low + (high - low) * shares[..., k] for k, (low, high) in enumerate(HABITS)))
-    return fitted, habits
+    habits = []
+    for k, (low, high) in enumerate(HABITS):
+        habits.append(low + (high - low) * shares[..., k])
+    return fitted, Habits(*habits)
 
 
 class Recordings:
@@ -202,18 +231,23 @@ class Recordings:
         self._kinds: list[Scenes] = []
         self._batches: list[list[tuple[Callable, Array]]] = []
         for kind in kinds:
-            in_corridors = kind.walls is not None
-            scenes = thinned(kind, max(1, windows // (4 if in_corridors else 1)))
+            number = windows
+            size = TOGETHER
+            if kind.walls is not None:  # in corridors
+                number = windows // 4
+                size = TOGETHER // 8
+            scenes = thinned(kind, max(1, number))
             program = _program(forces, names, scenes)
-            size = TOGETHER // 8 if in_corridors else TOGETHER
             order = np.arange(len(scenes.scene))
-            order = np.pad(order, (0, -len(order) % size), constant_values=EMPTY).reshape(-1, size)
+            padded = np.pad(order, (0, -len(order) % size), constant_values=EMPTY)
+            batches = padded.reshape(-1, size)
             self._kinds.append(scenes)
-            self._batches.append([(program, jnp.asarray(rows, jnp.int32)) for rows in order])
+            self._batches.append([(program, jnp.asarray(rows, jnp.int32)) for rows in batches])
 
     def rows(self, free: Float[Array, "L P"]) -> dict[str, np.ndarray]:
         """The errors (L,) of each scene by the free parameters of L candidates, and the cost of near pairs."""
-        rows, near = {}, np.zeros(len(free))
+        rows = {}
+        near = np.zeros(len(free))
         for kind, batches in zip(self._kinds, self._batches, strict=True):
             parts = [program(free, rows) for program, rows in batches]
             sums = jax.tree.map(lambda *leaves: np.sum([np.asarray(leaf) for leaf in leaves], axis=0), *parts)

@@ -49,18 +49,25 @@ SITUATIONS = [name.replace("_", " ") for name in shares.NAMES]
 
 def document(title: str, sections: list[str], options: ExperimentConfig | BenchmarkConfig) -> str:
     """A page with these sections and one more: the command and the versions that reproduce it."""
-    origin = (read_identity(options.folder / IDENTITY) or {}).get("versions") or versions()  # of the run
+    identity = read_identity(options.folder / IDENTITY) or {}
+    made_with = identity.get("versions") or versions()  # of the run
     word = "benchmark" if isinstance(options, BenchmarkConfig) else "experiment"
-    return pages.page(title, f"sean_jax · {word}", [*sections, pages.origin(command(word, options), origin)])
+    origin = pages.origin(command(word, options), made_with)
+    return pages.page(title, f"sean_jax · {word}", [*sections, origin])
 
 
 def sections(page: str, blocks: Mapping[str, Sequence[str]], **values: str) -> list[str]:
     """The sections of a page of captions.yaml for which there are blocks; ``values`` stand in titles and notes."""
     built = []
     for layout in TEXTS["pages"][page]:
-        if parts := blocks.get(layout["block"]):
-            notes = [note(TEXTS[layout["note"]].format(**values))] if "note" in layout else []
-            built.append(section(layout["title"].format(**values), *parts, *notes))
+        parts = list(blocks.get(layout["block"], ()))
+        if not parts:
+            continue
+        if "note" in layout:
+            text = TEXTS[layout["note"]].format(**values)
+            parts.append(note(text))
+        title = layout["title"].format(**values)
+        built.append(section(title, *parts))
     return built
 
 
@@ -82,19 +89,32 @@ def pivots(
     Args:
         levels: column -> label -> title, besides ``LEVELS``.
     """
-    titles, tables = LEVELS | levels, []
+    titles = LEVELS | levels
+    tables = []
     for layout in layouts:
         columns = titles[layout["columns"]]
+        outer = layout["rows"]
         lines = []
-        for labels in itertools.product(*(titles[column] for column in layout["rows"])):
-            row = dict(zip(layout["rows"], labels, strict=True))
-            title = layout["title"].format(**row) if "title" in layout else titles[layout["rows"][0]][labels[0]]
+        for labels in itertools.product(*(titles[column] for column in outer)):
+            row = dict(zip(outer, labels, strict=True))
+            if "title" in layout:
+                title = layout["title"].format(**row)
+            else:
+                title = titles[outer[0]][labels[0]]
             lines.append([title, *_pivot_cells(estimates, layout, columns, row)])
+
+        # Below the rows: our mean, and the paper's.
         if "mean" in layout:
-            lines.append([Cell("mean", kind="none"), *_pivot_cells(estimates, layout, columns, {"behavior": MEAN})])
+            means = _pivot_cells(estimates, layout, columns, {"behavior": MEAN})
+            lines.append([Cell("mean", kind="none"), *means])
         if "paper" in layout:
-            lines.append([Cell("paper, mean", kind="none"), *(layout["paper"].get(label, "") for label in columns)])
-        head = layout["head"].format(pair=pair) if "head" in layout else MEASURES[layout["where"]["measure"]]
+            numbers = [layout["paper"].get(label, "") for label in columns]
+            lines.append([Cell("paper, mean", kind="none"), *numbers])
+
+        if "head" in layout:
+            head = layout["head"].format(pair=pair)
+        else:
+            head = MEASURES[layout["where"]["measure"]]
         tables.append(table([head, *columns.values()], lines))
     return tables
 
@@ -103,18 +123,22 @@ def _pivot_cells(
     estimates: Estimates, layout: Mapping[str, Any], columns: Collection[str], row: Mapping[str, str]
 ) -> list[str | Cell]:
     """The estimates of a row; what ``missing`` says, if anything, where there is no episode."""
+    form = layout.get("form", ".2f")
+    scale = layout.get("scale", 1.0)
     cells = []
     for column in columns:
         labels = {**layout.get("where", {}), **row, layout["columns"]: column}
         value = estimates[tuple(labels[key] for key in KEYS if key in labels)]
-        cell = _estimate(value, layout.get("form", ".2f"), layout.get("scale", 1.0))
+        cell = _estimate(value, form, scale)
         cells.append(cell if value.episodes else layout.get("missing", cell))
     return cells
 
 
 def _interval(mean: float, low: float, high: float, form: str = ".2f", scale: float = 1.0) -> Cell:
     """A mean with its 95 % interval."""
-    return Cell(f"{scale * mean:{form}}", f"{scale * low:{form}} – {scale * high:{form}}", "ours")
+    middle = f"{scale * mean:{form}}"
+    ends = f"{scale * low:{form}} – {scale * high:{form}}"
+    return Cell(middle, ends, "ours")
 
 
 def _estimate(value: Estimate, form: str = ".2f", scale: float = 1.0) -> Cell:
@@ -123,8 +147,19 @@ def _estimate(value: Estimate, form: str = ".2f", scale: float = 1.0) -> Cell:
 
 def _holds(test: Mapping[str, Any]) -> Cell:
     """Whether a statement holds, and in which share of the resamples."""
-    sure = test["share"] >= 0.975 or test["share"] <= 0.025
-    return Cell(("" if sure else "perhaps ") + ("yes" if test["holds"] else "no"), f"{100 * test['share']:.1f} %")
+    share = test["share"]
+    sure = share >= 0.975 or share <= 0.025
+    answer = "yes" if test["holds"] else "no"
+    if not sure:
+        answer = f"perhaps {answer}"
+    return Cell(answer, f"{100 * share:.1f} %")
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str | Cell]]) -> list[str]:
+    """A table; nothing without rows."""
+    if not rows:
+        return []
+    return [table(head, rows)]
 
 
 def _figures(samples: np.ndarray) -> np.ndarray:
@@ -169,12 +204,17 @@ def table1(
         by_policy = shares.by_policy(demonstrated) | by_policy
 
     captions = {"table1-bars": TEXTS["bars"]}
-    blocks = {name: [figure(svg(picture, name), captions.get(name, ""))] for name, picture in figures.items()}
+    blocks = {}
+    for name, picture in figures.items():
+        blocks[name] = [figure(svg(picture, name), captions.get(name, ""))]
     if cells:
         blocks["table1-bars"].append(pages.legend(dict(zip(SITUATIONS, pictures.shades(), strict=True))))
-    blocks |= {"shares": _shares(cells, measured), "hours": _hours(compared)}
-    blocks |= {"demonstrated": _shares(demonstrated, driven), "recorded": _recorded(real)}
-    blocks |= {"more": _more(measured, real), "orderings": _orderings(by_policy)}
+    blocks["shares"] = _shares(cells, measured)
+    blocks["hours"] = _hours(compared)
+    blocks["demonstrated"] = _shares(demonstrated, driven)
+    blocks["recorded"] = _recorded(real)
+    blocks["more"] = _more(measured, real)
+    blocks["orderings"] = _orderings(by_policy)
 
     title = f"Table I: social situations in {'recordings' if len(real) else 'demonstrations'}"
     if cells:
@@ -195,11 +235,15 @@ def _shares(cells: shares.Shares, measured: Table) -> list[str]:
         for labels, samples in cells.items():
             if labels[0] != policy:
                 continue
-            behavior, completed = labels[1], ended[labels].value
+            behavior = labels[1]
+            completed = ended[labels].value
+            episodes = f"{int(completed.sum())} of {len(completed)}"
+            rows.append([behavior, *_shares_of_flags(samples), episodes])
+
             paper = shares.paper()[behavior]
-            rows.append([behavior, *_shares_of_flags(samples), f"{int(completed.sum())} of {len(completed)}"])
-            numbers = (f"{100 * value:.2f}" for value in paper)
-            rows.append([Cell("paper", kind="none"), *numbers, "", f"{shares.normalised_entropy(paper):.3f}", ""])
+            numbers = [f"{100 * value:.2f}" for value in paper]
+            entropy = f"{shares.normalised_entropy(paper):.3f}"
+            rows.append([Cell("paper", kind="none"), *numbers, "", entropy, ""])
         tables.append(table([policy, *TITLES, "completed"], rows))
     return tables
 
@@ -208,17 +252,25 @@ def _hours(compared: list[dict[str, Any]]) -> list[str]:
     """A table for each policy: the paper's figures, and the interval of an hour of the policy."""
     tests = {(test["policy"], test["behavior"], test["figure"]): test for test in compared}
 
-    def cell(policy_and_behavior: tuple[str, str], name: str) -> Cell:
-        test, (form, scale) = tests[*policy_and_behavior, name], _scale(name)
-        ours = _interval(test["mean"], test["low"], test["high"], form, scale)
-        printed = f"{scale * test['paper']:{form}}"
-        return ours._replace(text=f"{printed} ({ours.text})", kind="ours" if test["holm"] < 0.05 else "")
-
     tables = []
     for policy in dict.fromkeys(policy for policy, *_ in tests):
-        rows = [[b, *(cell((policy, b), name) for name in (*shares.NAMES, "entropy"))] for b in BEHAVIORS]
+        rows = []
+        for behavior in BEHAVIORS:
+            row: list[str | Cell] = [behavior]
+            for name in (*shares.NAMES, "entropy"):
+                row.append(_hour(tests[policy, behavior, name], name))
+            rows.append(row)
         tables.append(table([policy, *SITUATIONS, "entropy"], rows))
     return tables
+
+
+def _hour(test: Mapping[str, Any], name: str) -> Cell:
+    """The paper's figure of a name, and the interval of an hour: bold where they differ."""
+    form, scale = _scale(name)
+    ours = _interval(test["mean"], test["low"], test["high"], form, scale)
+    printed = f"{scale * test['paper']:{form}}"
+    kind = "ours" if test["holm"] < 0.05 else ""
+    return ours._replace(text=f"{printed} ({ours.text})", kind=kind)
 
 
 def _shares_of_flags(samples: np.ndarray) -> list[str | Cell]:
@@ -226,10 +278,12 @@ def _shares_of_flags(samples: np.ndarray) -> list[str | Cell]:
     columns = _percents(shares.counted(samples))
     for k, cell in enumerate(columns):
         if isinstance(cell, Cell):
-            columns[k] = cell._replace(text=f"{cell.text} ({100 * samples[0, k]:.1f})")
+            examples = f"{100 * samples[0, k]:.1f}"
+            columns[k] = cell._replace(text=f"{cell.text} ({examples})")
+    none = f"{100 * samples[0, 5]:.1f}"
     entropy = shares.entropy(samples)
     low, high = shares.interval(entropy)
-    return [*columns, f"{100 * samples[0, 5]:.1f}", _interval(entropy[0], float(low), float(high), ".3f")]
+    return [*columns, none, _interval(entropy[0], float(low), float(high), ".3f")]
 
 
 def _percents(samples: np.ndarray) -> list[str | Cell]:
@@ -239,20 +293,25 @@ def _percents(samples: np.ndarray) -> list[str | Cell]:
 
 
 def _recorded(real: Table) -> list[str]:
-    rows = [
-        [f"{recording}, V = {speed} m/s", *_shares_of_flags(samples), f"{people}"]
-        for (recording, people, speed), samples in shares.people_shares(real, ("behavior", "people", "speed")).items()
-    ]
-    return [table(["", *TITLES, "people"], rows)] if rows else []
+    rows = []
+    for labels, samples in shares.people_shares(real, ("behavior", "people", "speed")).items():
+        recording, people, speed = labels
+        rows.append([f"{recording}, V = {speed} m/s", *_shares_of_flags(samples), f"{people}"])
+    return _table(["", *TITLES, "people"], rows)
 
 
 def _more(measured: Table, real: Table) -> list[str]:
     """Situations beyond the paper's five."""
     names = tuple(MORE_SITUATIONS)
-    further = {f"{b} · {policy}": row for (policy, b, _), row in shares.chain_shares(measured, CELL, names).items()}
-    further |= {name: row for (name, _), row in shares.people_shares(real, ("behavior", "speed"), names).items()}
+    further = {}
+    for (policy, behavior, _), samples in shares.chain_shares(measured, CELL, names).items():
+        further[f"{behavior} · {policy}"] = samples
+    for (recording, _), samples in shares.people_shares(real, ("behavior", "speed"), names).items():
+        further[recording] = samples
+
     rows = [[title, *_percents(samples)] for title, samples in further.items()]
-    return [table(["", *(name.replace("_", " ") for name in names)], rows)] if rows else []
+    titles = [name.replace("_", " ") for name in names]
+    return _table(["", *titles], rows)
 
 
 def _orderings(by_policy: dict[str, dict[str, np.ndarray]]) -> list[str]:
@@ -260,7 +319,7 @@ def _orderings(by_policy: dict[str, dict[str, np.ndarray]]) -> list[str]:
     for first, *others in zip(*map(shares.orderings, by_policy.values()), strict=True):
         words = [first["name"], Cell(first["statement"], kind="text"), first["source"]]
         rows.append([*words, *map(_holds, (first, *others))])
-    return [table(["", "statement", "", *by_policy], rows)] if rows else []
+    return _table(["", "statement", "", *by_policy], rows)
 
 
 # ------------------------------------------------------------------ ablation
@@ -286,15 +345,18 @@ def _worlds(tables: shares.Tables, references: Mapping[str, str], behavior: str,
     """The paper's shares, and those of each world: bold where they differ from the reference's."""
     figures = {world: _figures(by_policy[policy][behavior]) for world, by_policy in tables.items()}
     paper = shares.paper()[behavior]
-    numbers = [*(f"{100 * value:.1f}" for value in paper), "", f"{shares.normalised_entropy(paper):.3f}"]
-    rows: list[list[str | Cell]] = [[Cell("paper", kind="none"), *numbers]]
+    numbers = [f"{100 * value:.1f}" for value in paper]
+    entropy = f"{shares.normalised_entropy(paper):.3f}"
+    rows: list[list[str | Cell]] = [[Cell("paper", kind="none"), *numbers, "", entropy]]
     for world, samples in figures.items():
         low, high = shares.interval(samples)
         below, above = shares.interval(samples - figures[references[world]])
         cells = []
         for k, name in enumerate(COLUMNS):
-            moved = world != references[world] and not below[k] <= 0.0 <= above[k]
-            cell = _interval(samples[0, k], low[k], high[k], *_scale(name))
+            beyond_chance = not below[k] <= 0.0 <= above[k]
+            moved = world != references[world] and beyond_chance
+            form, scale = _scale(name)
+            cell = _interval(samples[0, k], low[k], high[k], form, scale)
             cells.append(cell._replace(kind="ours" if moved else ""))
         rows.append([world, *cells])
     return table([f"{behavior} · {policy}", *TITLES], rows)
@@ -308,8 +370,10 @@ def _changed_orderings(tables: shares.Tables, references: Mapping[str, str], pol
         cells = []
         for world, tests in by_world.items():
             share = tests[k]["share"]
-            low, high = sorted((share, by_world[references[world]][k]["share"]))
-            cells.append(Cell(f"{100 * share:.0f}", kind="ours" if low <= 0.025 and high >= 0.975 else ""))
+            reference = by_world[references[world]][k]["share"]
+            low, high = sorted((share, reference))
+            reversed_by_switch = low <= 0.025 and high >= 0.975
+            cells.append(Cell(f"{100 * share:.0f}", kind="ours" if reversed_by_switch else ""))
         rows.append([ordering.name, Cell(ordering.statement, kind="text"), *cells])
     return table([policy, "statement", *tables], rows)
 
@@ -329,15 +393,18 @@ def benchmark(
     Args:
         skipped: a sentence on tracks that are left out, or "".
     """
-    groups, tracks = ({"all": whole, **scores} for scores in (by_group, by_track))
+    groups = {"all": whole, **by_group}
+    tracks = {"all": whole, **by_track}
     blocks = {}
     for name in ("groups", "tracks", "violations", "time"):
         members = groups if name == "groups" else tracks
-        estimates = {(track, *labels): value for track, scores in members.items() for labels, value in scores.items()}
-        blocks[name] = pivots(
-            PIVOTS[name], estimates, behavior=dict(zip(members, members, strict=True)), measure=FIGURES
-        )
-    blocks["groups"] += [note(skipped)] if skipped else []
+        estimates = {}
+        for track, scores in members.items():
+            estimates |= {(track, *labels): value for labels, value in scores.items()}
+        behaviors = {track: track for track in members}
+        blocks[name] = pivots(PIVOTS[name], estimates, behavior=behaviors, measure=FIGURES)
+    if skipped:
+        blocks["groups"].append(note(skipped))
     title = f"{options.policy}: {len(by_track)} tracks, {options.episodes} episodes each"
     return document(title, sections("benchmark", blocks), options)
 
@@ -350,23 +417,23 @@ def ranking(options: BenchmarkRankConfig, ranks: Ranking, figures: dict[str, Fig
     """
     classes = []
     for sensing, rows in ranks.by_class().items():
-        head = ["rank", "policy", "seeds", *ranks.groups]
-        table_rows = [
-            [row.rank, Cell(row.entry.name, kind="text"), row.seeds, *map(_estimate, row.of.values())] for row in rows
-        ]
-        pairs = [
-            [Cell(f"{pair.second} - {pair.first}", kind="text"), _interval(*pair.difference), f"{pair.p:.2g}"]
-            for pair in ranks.pairs
-            if pair.sensing == sensing
-        ]
-        title = f"{sensing}: {SENSING[sensing]}"
-        parts = [
-            table(head, table_rows),
-            figure(svg(figures[sensing], f"ranking-{sensing}"), TEXTS["ranked_situations"]),
-        ]
+        table_rows = []
+        for row in rows:
+            policy = Cell(row.entry.name, kind="text")
+            table_rows.append([row.rank, policy, row.seeds, *map(_estimate, row.of.values())])
+        parts = [table(["rank", "policy", "seeds", *ranks.groups], table_rows)]
+
+        pairs = []
+        for pair in ranks.pairs:
+            if pair.sensing == sensing:
+                names = Cell(f"{pair.second} - {pair.first}", kind="text")
+                pairs.append([names, _interval(*pair.difference), f"{pair.p:.2g}"])
         if pairs:
-            parts.insert(1, table(["difference", "politely completed, % points", "p"], pairs))
-        classes.append(section(title, *parts))
+            parts.append(table(["difference", "politely completed, % points", "p"], pairs))
+
+        picture = svg(figures[sensing], f"ranking-{sensing}")
+        parts.append(figure(picture, TEXTS["ranked_situations"]))
+        classes.append(section(f"{sensing}: {SENSING[sensing]}", *parts))
     notes = [TEXTS["ranked"], *ranks.notes]
     classes.append(section("How ranks are made", *map(note, notes)))
     title = f"Ranking of {len(ranks.rows)} policies on {len(ranks.groups[ALL_TRACKS])} tracks"
@@ -417,15 +484,18 @@ def figure4(
 def _driven(driven: Table) -> list[str]:
     """Episodes of demonstrations, and how many were completed."""
     ended = driven.where(measure=shares.COMPLETED).groups(["behavior", "policy"])
-    rows = [[*labels, f"{len(cell)}", f"{int(cell.value.sum())}"] for labels, cell in ended.items()]
-    return [table(["people", "driver", "episodes", "completed"], rows)] if rows else []
+    rows = []
+    for labels, episodes in ended.items():
+        rows.append([*labels, f"{len(episodes)}", f"{int(episodes.value.sum())}"])
+    return _table(["people", "driver", "episodes", "completed"], rows)
 
 
 def _claims(claims: list[dict[str, Any]]) -> str:
     rows = []
     for claim in claims:
         whose = "ours" if claim["paper"] == "not reported" else "paper"
-        statement, ours = Cell(claim["statement"], kind="text"), Cell(claim["ours"], kind="ours")
+        statement = Cell(claim["statement"], kind="text")
+        ours = Cell(claim["ours"], kind="ours")
         rows.append([statement, whose, claim["paper"], ours, _holds(claim)])
     return table(["statement", "whose", "paper", "here", "holds"], rows)
 
@@ -437,11 +507,16 @@ def _contrasts(contrasts: list[dict[str, Any]]) -> str:
     def cell(pair: tuple[str, str], measure: str) -> Cell:
         test = tests[*pair, measure]
         difference = _estimate(test["difference"], "+.3g")
-        p = "" if math.isnan(test["holm"]) else f", d {test['effect']:+.2f}, p {test['holm']:.2g}"
-        return difference._replace(small=f"{difference.small}{p}", kind="ours" if test["holm"] < 0.05 else "")
+        p = test["holm"]
+        small = difference.small
+        if not math.isnan(p):
+            small += f", d {test['effect']:+.2f}, p {p:.2g}"
+        return difference._replace(small=small, kind="ours" if p < 0.05 else "")
 
-    pairs = dict.fromkeys((one, other) for one, other, _ in tests)
-    rows = [[" − ".join(pair), *(cell(pair, measure) for measure in MEASURES)] for pair in pairs]
+    rows = []
+    for pair in dict.fromkeys((one, other) for one, other, _ in tests):
+        cells = [cell(pair, measure) for measure in MEASURES]
+        rows.append([" − ".join(pair), *cells])
     return table(["", *MEASURES.values()], rows)
 
 
@@ -459,7 +534,8 @@ TRAINING = {
 def _training(training: Mapping[str, dict[str, float]]) -> str:
     rows = []
     for name, means in training.items():
-        rows.append([name, *(f"{means[key]:{form}}" for key, (_, form) in TRAINING.items())])
+        numbers = [f"{means[key]:{form}}" for key, (_, form) in TRAINING.items()]
+        rows.append([name, *numbers])
     return table(["policy", *(title for title, _ in TRAINING.values())], rows)
 
 
@@ -499,8 +575,10 @@ def learning_curve(
         "differences": by_pair,
         "training": [_training({titles[name]: means for name, means in training.items()})],
     }
-    datasets, trainings = options.datasets, options.trainings
+    datasets = options.datasets
+    trainings = options.trainings
+    count = datasets * trainings
     networks = f"{datasets} dataset{'s' * (datasets > 1)}, {trainings} network{'s' * (trainings > 1)} on each"
-    episodes = datasets * trainings * math.ceil(options.episodes / (datasets * trainings))
+    episodes = count * math.ceil(options.episodes / count)
     title = f"Policy G and its data: {networks}, {episodes} episodes in each cell"
     return document(title, sections("learning_curve", blocks), options)

@@ -81,7 +81,10 @@ def table1(speeds: Sequence[str], cells: Shares, swept: Shares) -> dict[str, Fig
     """
     if not cells:
         return {}
-    first = {tuple(cell): values for (*cell, speed), values in cells.items() if speed == speeds[0]}
+    first = {}
+    for (*cell, speed), values in cells.items():
+        if speed == speeds[0]:
+            first[tuple(cell)] = values
     figures = {"table1-bars": bars(first)}
     if len(speeds) > 1:
         figures["table1-speeds"] = by_speed(speeds, cells)
@@ -92,7 +95,19 @@ def table1(speeds: Sequence[str], cells: Shares, swept: Shares) -> dict[str, Fig
 
 def _ends(mean: ArrayLike, low: ArrayLike, high: ArrayLike) -> list[np.ndarray]:
     """The lengths of the lines of an interval, below and above the mean."""
-    return [np.maximum(np.subtract(mean, low), 0), np.maximum(np.subtract(high, mean), 0)]
+    below = np.subtract(mean, low)
+    above = np.subtract(high, mean)
+    return [np.maximum(below, 0), np.maximum(above, 0)]
+
+
+def _entropies(samples: Sequence[np.ndarray]) -> list[float]:
+    """The normalised entropy of the shares of each cell."""
+    return [shares.entropy(values)[0] for values in samples]
+
+
+def _situation_names(space: str) -> list[str]:
+    """The names of situations, with ``space`` between their words."""
+    return [name.replace("_", space) for name in shares.NAMES]
 
 
 def _legend(axes: Axes) -> None:
@@ -104,7 +119,9 @@ def _legend(axes: Axes) -> None:
 def bars(cells: Shares) -> Figure:
     """Shares of each policy and behavior as bars with intervals, and the paper's as ticks."""
     policies = list(dict.fromkeys(policy for policy, *_ in cells))
-    figure, grid = _figure(3.6 * len(BEHAVIORS), 2.1 * len(policies) + 0.3, len(policies), len(BEHAVIORS))
+    width = 3.6 * len(BEHAVIORS)
+    height = 2.1 * len(policies) + 0.3
+    figure, grid = _figure(width, height, len(policies), len(BEHAVIORS))
     x = np.arange(5)
     for (policy, behavior, _), samples in cells.items():
         axes = grid[policies.index(policy), BEHAVIORS.index(behavior)]
@@ -116,9 +133,11 @@ def bars(cells: Shares) -> Figure:
         axes.errorbar(x, value, ends, fmt="none", ecolor=colors.INK, elinewidth=1.1, capsize=2)
 
         paper = 100 * shares.paper()[behavior]
-        axes.hlines(paper, x - 0.42, x + 0.42, color=colors.INK, lw=1.4, linestyles=(0, (2, 1)))
-        entropies = f"entropy {shares.entropy(samples)[0]:.2f}\npaper {shares.normalised_entropy(paper):.2f}"
-        axes.set_xticks(x, [name.replace("_", "\n") for name in shares.NAMES], fontsize=7.5)
+        dashes = (0, (2, 1))
+        axes.hlines(paper, x - 0.42, x + 0.42, color=colors.INK, lw=1.4, linestyles=dashes)
+        entropy = shares.entropy(samples)[0]
+        entropies = f"entropy {entropy:.2f}\npaper {shares.normalised_entropy(paper):.2f}"
+        axes.set_xticks(x, _situation_names("\n"), fontsize=7.5)
         axes.set_ylim(0, 100)
         axes.set_title(f"{behavior} · {policy}")
         corner = {"transform": axes.transAxes, "ha": "left", "va": "top"}
@@ -132,7 +151,8 @@ def bars(cells: Shares) -> Figure:
 def by_speed(speeds: Sequence[str], cells: Shares) -> Figure:
     """Entropy and share of cross path by the walking speed V; one line for each behavior and policy."""
     figure, ((entropies, cross_paths),) = _figure(10.8, 2.8, 1, 2)
-    shade = dict(zip(BEHAVIORS, (colors.FLOW, colors.ROBOT, colors.SITUATION_COLORS["join_group"]), strict=True))
+    palette = colors.FLOW, colors.ROBOT, colors.SITUATION_COLORS["join_group"]
+    shade = dict(zip(BEHAVIORS, palette, strict=True))
     styles = ("-", "--", ":", "-.")
     policies = list(dict.fromkeys(policy for policy, *_ in cells))
     ordered = sorted(speeds, key=float)
@@ -141,8 +161,9 @@ def by_speed(speeds: Sequence[str], cells: Shares) -> Figure:
         samples = [cells[policy, behavior, people, speed] for speed in ordered]
         style = styles[policies.index(policy) % len(styles)]
         line = {"color": shade[behavior], "marker": "o", "ms": 3, "label": f"{behavior} · {policy}"}
-        entropies.plot(x, [shares.entropy(values)[0] for values in samples], style, **line)
-        cross_paths.plot(x, [100 * values[0, 0] for values in samples], style, **line)
+        cross_path = [100 * values[0, 0] for values in samples]
+        entropies.plot(x, _entropies(samples), style, **line)
+        cross_paths.plot(x, cross_path, style, **line)
     for axes, title in ((entropies, "normalised entropy"), (cross_paths, "cross path, % of examples")):
         axes.set_title(title)
         axes.set_xlabel("V, m/s")
@@ -158,17 +179,17 @@ def crowds(cells: Shares, swept: Shares) -> Figure:
     behaviors = list(dict.fromkeys(behavior for _, behavior, _ in swept))
     figure, (row,) = _figure(5.0 * len(behaviors), 2.8, 1, len(behaviors))
     for axes, behavior in zip(row, behaviors, strict=True):
-        selection = [
-            (labels[2], values)
-            for labels, values in [*cells.items(), *swept.items()]
-            if labels[:2] == (policy, behavior)
-        ]
+        selection = []
+        for labels, values in [*cells.items(), *swept.items()]:
+            if labels[:2] == (policy, behavior):
+                selection.append((labels[2], values))
         selection.sort(key=lambda people_and_values: people_and_values[0])
         people, samples = zip(*selection, strict=True)
-        for k, (name, shade) in enumerate(zip(shares.NAMES, shades(), strict=True)):
+
+        for k, (name, shade) in enumerate(zip(_situation_names(" "), shades(), strict=True)):
             values = [100 * sample[0, k] for sample in samples]
-            axes.plot(people, values, color=shade, marker="o", ms=3, label=name.replace("_", " "))
-        entropies = [100 * shares.entropy(sample)[0] for sample in samples]
+            axes.plot(people, values, color=shade, marker="o", ms=3, label=name)
+        entropies = [100 * entropy for entropy in _entropies(samples)]
         axes.plot(people, entropies, ":", color=colors.INK, label="100 x entropy")
         axes.set_title(f"{behavior} · {policy}")
         axes.set_xlabel("people")
@@ -182,22 +203,31 @@ def crowds(cells: Shares, swept: Shares) -> Figure:
 def ablation(tables: Tables, references: Mapping[str, str]) -> Figure:
     """Change of the shares of flags in each world from its reference, in points, means over the policies."""
     worlds = [world for world in tables if world != references[world]]
+    width = 3.4 * len(BEHAVIORS) + 1.2
+    height = 0.3 * len(worlds) + 1.5
+    figure, (row,) = _figure(width, height, 1, len(BEHAVIORS))
 
-    def mean(world: str, behavior: str) -> np.ndarray:
-        samples = [by_behavior[behavior] for by_behavior in tables[world].values()]
-        flags = np.mean([shares.counted(values)[0] for values in samples], 0)
-        return 100 * np.append(flags, np.mean([shares.entropy(values)[0] for values in samples]))
-
-    figure, (row,) = _figure(3.4 * len(BEHAVIORS) + 1.2, 0.3 * len(worlds) + 1.5, 1, len(BEHAVIORS))
-    names = [*(name.replace("_", "\n") for name in shares.NAMES), "100 x\nentropy"]
+    names = [*_situation_names("\n"), "100 x\nentropy"]
     shades = [colors.ROBOT, colors.PAPER, colors.FLOW]
     for axes, behavior in zip(row, BEHAVIORS, strict=True):
-        values = np.stack([mean(world, behavior) - mean(references[world], behavior) for world in worlds])
-        _heat(axes, values, shades, (-30, 30), lambda value: (f"{value:+.0f}", colors.INK), 8)
+        changes = []
+        for world in worlds:
+            reference = _mean_shares(tables, references[world], behavior)
+            changes.append(_mean_shares(tables, world, behavior) - reference)
+        _heat(axes, np.stack(changes), shades, (-30, 30), lambda value: (f"{value:+.0f}", colors.INK), 8)
         axes.set_xticks(range(len(names)), names, fontsize=7)
-        axes.set_yticks(range(len(worlds)), worlds if axes == row[0] else [""] * len(worlds))
+        labels = worlds if axes == row[0] else [""] * len(worlds)
+        axes.set_yticks(range(len(worlds)), labels)
         axes.set_title(behavior)
     return figure
+
+
+def _mean_shares(tables: Tables, world: str, behavior: str) -> np.ndarray:
+    """(6,) percent, the shares of flags and the entropy in a world, means over the policies."""
+    samples = [by_behavior[behavior] for by_behavior in tables[world].values()]
+    flags = np.mean([shares.counted(values)[0] for values in samples], 0)
+    entropy = np.mean(_entropies(samples))
+    return 100 * np.append(flags, entropy)
 
 
 def _heat(
@@ -221,13 +251,19 @@ def _heat(
 @styled
 def grids(policies: Sequence[str], estimates: Estimates) -> Figure:
     """Figure 4: a grid of scenarios and policies for each measure; below or beside it, violations in each situation."""
-    wide = len(policies) > 8  # then names and numbers need the width of half a page
-    size = (2 * (0.42 * len(policies) + 0.6), 11.0, 5, 2) if wide else (16.0, 5.6, 2, 5)
-    figure, axes = _figure(*size)
-    several, by_situation = axes.T if wide else axes
+    if len(policies) > 8:  # names and numbers need the width of half a page
+        width = 2 * (0.42 * len(policies) + 0.6)
+        figure, axes = _figure(width, 11.0, 5, 2)
+        several, by_situation = axes.T
+    else:
+        figure, axes = _figure(16.0, 5.6, 2, 5)
+        several, by_situation = axes
 
     def means(measure: str, situation: str = ALL) -> np.ndarray:
-        return np.array([[estimates[p, b, measure, situation].mean for p in policies] for b in BEHAVIORS])
+        rows = []
+        for behavior in BEHAVIORS:
+            rows.append([estimates[policy, behavior, measure, situation].mean for policy in policies])
+        return np.array(rows)
 
     titles = {**MEASURES, WAITING: "time not moving of completed, s"}
     for spot, (measure, title) in zip(several, titles.items(), strict=True):
@@ -240,11 +276,17 @@ def grids(policies: Sequence[str], estimates: Estimates) -> Figure:
 
 
 def _grid(spot: Axes, values: np.ndarray, policies: Sequence[str], title: str, top: float | None = None) -> None:
-    scale = max(float(values.max()) if top is None else top, 1e-9)
+    if top is None:
+        top = float(values.max())
+    scale = max(top, 1e-9)
 
     def text(value: float) -> tuple[str, str]:
-        words = f"{value:g}" if value == round(value) else f"{value:.{2 if value < 9.995 else 1}f}"
-        return words, "#ffffff" if value > 0.45 * scale else colors.INK
+        ink = "#ffffff" if value > 0.45 * scale else colors.INK
+        if value == round(value):
+            return f"{value:g}", ink
+        if value < 9.995:
+            return f"{value:.2f}", ink
+        return f"{value:.1f}", ink
 
     _heat(spot, values, ["#eef3fa", colors.FLOW, colors.FLOW_EDGE], (0, scale), text, 9)
     spot.set_xticks(range(len(policies)), policies)
@@ -262,12 +304,16 @@ def learning_curve(variants: Sequence[Variant], estimates: Estimates) -> Figure:
     """
     names = {"completed": "completed, %", "time_not_moving": "not moving, s", "violations": "violations"}
     columns = (*BEHAVIORS, MEAN)
-    figure, grid = _figure(2.9 * len(columns), 2.2 * len(names) + 0.4, len(names), len(columns))
+    width = 2.9 * len(columns)
+    height = 2.2 * len(names) + 0.4
+    figure, grid = _figure(width, height, len(names), len(columns))
     for row, (measure, name) in zip(grid, names.items(), strict=True):
         low, high = _limits(estimates, measure)
+        border = 0.05 * (high - low)
         for axes, behavior in zip(row, columns, strict=True):
-            _variants(axes, variants, {v.name: estimates[v.name, behavior, measure] for v in variants})
-            axes.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low) + 1e-3)
+            by_variant = {variant.name: estimates[variant.name, behavior, measure] for variant in variants}
+            _variants(axes, variants, by_variant)
+            axes.set_ylim(low - border, high + border + 1e-3)
         row[0].set_ylabel(name)
     for axes, behavior in zip(grid[0], columns, strict=True):
         axes.set_title(f"in {behavior}" if behavior in BEHAVIORS else behavior)
@@ -280,8 +326,11 @@ def learning_curve(variants: Sequence[Variant], estimates: Estimates) -> Figure:
 def _limits(estimates: Estimates, measure: str) -> tuple[float, float]:
     """The ends of the axis of a measure, equal in all scenarios."""
     intervals = [value for (_, _, name), value in estimates.items() if name == measure]
-    low = min(float(value.low) for value in intervals) if measure == "completed" else 0.0
-    return low, max(float(value.high) for value in intervals)
+    low = 0.0
+    if measure == "completed":
+        low = min(float(value.low) for value in intervals)
+    high = max(float(value.high) for value in intervals)
+    return low, high
 
 
 def _variants(axes: Axes, variants: Sequence[Variant], estimates: Mapping[str, Estimate]) -> None:
@@ -299,8 +348,10 @@ def _variants(axes: Axes, variants: Sequence[Variant], estimates: Mapping[str, E
     draw(plain, 1.0, fmt="-o", color=colors.FLOW, label="1 Hz")
     others = (variant for variant in variants if not variant.is_plain)
     for k, variant in enumerate(others):
-        style = {"fmt": marks[k % len(marks)], "color": shades[k % len(shades)]}
-        draw([variant], 1.15 ** (k + 1), label=variant.title.partition(" h ")[2], **style)
+        mark = marks[k % len(marks)]
+        shade = shades[k % len(shades)]
+        label = variant.title.partition(" h ")[2]
+        draw([variant], 1.15 ** (k + 1), label=label, fmt=mark, color=shade)
     hours = [variant.hours for variant in plain]
     axes.set_xscale("log")
     axes.set_xticks(hours, [f"{value:g}" for value in hours])
@@ -319,8 +370,9 @@ def situations(rows: Sequence[RankingRow]) -> Figure:
         shifted = x + (number - (len(rows) - 1) / 2) * width
         ends = _ends(*row.violations[:3])
         color = shades(number / max(len(rows) - 1, 1) * 0.9)
-        axes.errorbar(shifted, row.violations.mean, ends, fmt="o", ms=4, capsize=2, color=color, label=row.entry.name)
-    axes.set_xticks(x, [name.replace("_", " ") for name in shares.NAMES])
+        style: Any = {"fmt": "o", "ms": 4, "capsize": 2, "color": color}
+        axes.errorbar(shifted, row.violations.mean, ends, label=row.entry.name, **style)
+    axes.set_xticks(x, _situation_names(" "))
     axes.set_ylim(bottom=0)
     axes.set_ylabel("a minute")
     _legend(axes)

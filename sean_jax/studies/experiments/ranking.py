@@ -11,7 +11,9 @@ from sean_jax.studies.experiments import benchmark, page, pictures, ranks, write
 from sean_jax.studies.experiments.benchmark import Result
 from sean_jax.studies.experiments.ranks import Entry, Ranking
 
-REPORT, TABLE, PAIRS = "report.html", "ranking.csv", "differences.csv"
+REPORT = "report.html"
+TABLE = "ranking.csv"
+PAIRS = "differences.csv"
 
 
 def run(options: BenchmarkRankConfig) -> Ranking:
@@ -22,20 +24,30 @@ def run(options: BenchmarkRankConfig) -> Ranking:
         IncompleteError: a file of episodes is damaged.
         WriteError: another process writes in the folder.
     """
-    ranked, folder = rank(list(options.results)), options.folder
+    ranked = rank(list(options.results))
+    folder = options.folder
     with writing.folder_lock(folder):
-        rows = []
-        for row in ranked.rows:
-            head = row.entry.sensing, row.first, row.last, row.entry.name, len(row.entry.measured)
-            rows += [(*head, tracks, *map(float, share[:3])) for tracks, share in row.of.items()]
-        write_csv(folder / TABLE, "class,first_rank,last_rank,policy,results,tracks,polite_percent,low,high", rows)
-        pairs = [(pair.sensing, pair.first, pair.second, *pair.difference, f"{pair.p:.3g}") for pair in ranked.pairs]
-        write_csv(folder / PAIRS, "class,first,second,difference_percent,low,high,p_holm", pairs)
-
+        _write_tables(folder, ranked)
         figures = {sensing: pictures.situations(rows) for sensing, rows in ranked.by_class().items()}
-        pictures.save(folder, {f"situations-{sensing}": figure for sensing, figure in figures.items()})
+        named = {f"situations-{sensing}": figure for sensing, figure in figures.items()}
+        pictures.save(folder, named)
         writing.write(folder / REPORT, page.ranking(options, ranked, figures))
     return ranked
+
+
+def _write_tables(folder: Path, ranked: Ranking) -> None:
+    rows = []
+    for row in ranked.rows:
+        entry = row.entry
+        head = entry.sensing, row.first, row.last, entry.name, len(entry.measured)
+        for tracks, share in row.of.items():
+            rows.append((*head, tracks, *map(float, share[:3])))
+    write_csv(folder / TABLE, "class,first_rank,last_rank,policy,results,tracks,polite_percent,low,high", rows)
+
+    pairs = []
+    for pair in ranked.pairs:
+        pairs.append((pair.sensing, pair.first, pair.second, *pair.difference, f"{pair.p:.3g}"))
+    write_csv(folder / PAIRS, "class,first,second,difference_percent,low,high,p_holm", pairs)
 
 
 def rank(folders: list[Path]) -> Ranking:
@@ -49,9 +61,16 @@ def rank(folders: list[Path]) -> Ranking:
     results = {folder: benchmark.check(folder) for folder in folders}
     entries = _entries(results)
     tracks = [track for track in benchmark.TRACKS if all(track in result.tracks for result in results.values())]
-    groups = {group: [track for track in names if track in tracks] for group, names in benchmark.members().items()}
+
+    groups = {}
+    for group, names in benchmark.members().items():
+        members = [track for track in names if track in tracks]
+        if members:
+            groups[group] = members
+
     skipped = benchmark.skipped(tracks)
-    return ranks.rank(entries, {group: names for group, names in groups.items() if names}, [skipped] * bool(skipped))
+    notes = [skipped] if skipped else []
+    return ranks.rank(entries, groups, notes)
 
 
 def _entries(results: dict[Path, Result]) -> list[Entry]:
@@ -66,18 +85,21 @@ def _entries(results: dict[Path, Result]) -> list[Entry]:
     for folder, result in results.items():
         if not result.complete:
             raise InputError(f"{folder} has {result.episodes} episodes a track, too few to rank it; run it in full.")
-        if (other := digests.setdefault(result.policy_digest, folder)) != folder:
+        other = digests.setdefault(result.policy_digest, folder)
+        if other != folder:
             raise InputError(f"{other} and {folder} have the same policy, {result.policy_digest}; rank one of them.")
         by_name.setdefault(result.name, []).append(folder)
         _check_seeds(results, by_name[result.name][0], folder)
         for file, digest in result.recordings.items():
-            if results[other := recordings.setdefault(file, folder)].recordings[file] != digest:
+            other = recordings.setdefault(file, folder)
+            if results[other].recordings[file] != digest:
                 raise InputError(f"{other} and {folder} have different recordings {file}; run both with one.")
 
     entries = []
     for name, folders in by_name.items():
         measured = [benchmark.measurements(folder, results[folder]) for folder in folders]
-        entries.append(Entry(name, results[folders[0]].sensing, results[folders[0]].trained, measured))
+        first = results[folders[0]]
+        entries.append(Entry(name, first.sensing, first.trained, measured))
     return entries
 
 
@@ -87,7 +109,8 @@ def _check_seeds(results: dict[Path, Result], first: Path, folder: Path) -> None
     Raises:
         InputError: the folders.
     """
-    ours, theirs = results[first], results[folder]
+    ours = results[first]
+    theirs = results[folder]
     if first != folder and not (ours.trained and theirs.trained):
         raise InputError(
             f"{first} and {folder} have the same name, {theirs.name}, but are no trainings; "

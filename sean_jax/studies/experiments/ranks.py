@@ -57,13 +57,19 @@ class RankingRow:
     @property
     def rank(self) -> str:
         """The rank, such as "2", or the first and the last, such as "2-4"."""
-        return f"{self.first}" if self.first == self.last else f"{self.first}-{self.last}"
+        if self.first == self.last:
+            return f"{self.first}"
+        return f"{self.first}-{self.last}"
 
     @property
     def seeds(self) -> str:
         """Number of training seeds; "-" of what does not learn."""
         number = len(self.entry.measured)
-        return "-" if not self.entry.trained else f"{number}" if number >= SEEDS else f"{number} of {SEEDS}"
+        if not self.entry.trained:
+            return "-"
+        if number < SEEDS:
+            return f"{number} of {SEEDS}"
+        return f"{number}"
 
 
 class RankedPair(NamedTuple):
@@ -87,15 +93,20 @@ class Ranking:
 
     def by_class(self) -> dict[str, list[RankingRow]]:
         """Class of sensing -> its rows."""
-        classes = {sensing: [row for row in self.rows if row.entry.sensing == sensing] for sensing in SENSING}
-        return {sensing: rows for sensing, rows in classes.items() if rows}
+        classes = {}
+        for sensing in SENSING:
+            rows = [row for row in self.rows if row.entry.sensing == sensing]
+            if rows:
+                classes[sensing] = rows
+        return classes
 
     def table(self) -> str:
         """The ranking as text."""
         lines = []
         for sensing, rows in self.by_class().items():
             lines.append(f"{sensing} · politely completed %")
-            lines.append(f"  {'rank':<6}{'policy':<28}{'seeds':<8}" + "".join(f"{name:>11}" for name in self.groups))
+            head = "".join(f"{name:>11}" for name in self.groups)
+            lines.append(f"  {'rank':<6}{'policy':<28}{'seeds':<8}{head}")
             for row in rows:
                 figures = "".join(f"{float(row.of[name].mean):11.2f}" for name in self.groups)
                 lines.append(f"  {row.rank:<6}{row.entry.name:<28.27}{row.seeds:<8}{figures}")
@@ -115,45 +126,61 @@ def rank(entries: list[Entry], groups: dict[str, list[str]], notes: list[str]) -
     pairs = _pairs(entries, sums, tracks)
 
     # Only a difference beyond chance separates two entries; a rank is therefore an interval.
-    better, worse = Counter[str](), Counter[str]()  # numbers of entries, beyond chance
+    better = Counter[str]()  # numbers of entries, beyond chance
+    worse = Counter[str]()
     for pair in pairs:
-        if pair.p < LEVEL:
-            low, high = (pair.first, pair.second) if pair.difference[0] > 0 else (pair.second, pair.first)
-            better[low] += 1
-            worse[high] += 1
+        if pair.p >= LEVEL:
+            continue
+        low = pair.second
+        high = pair.first
+        if pair.difference[0] > 0:
+            low = pair.first
+            high = pair.second
+        better[low] += 1
+        worse[high] += 1
 
     # The first rank comes after all who are surely better, the last before all who are surely worse.
     in_class = Counter(entry.sensing for entry in entries)
     rows = []
     for entry in entries:
-        first, last = 1 + better[entry.name], in_class[entry.sensing] - worse[entry.name]
+        first = 1 + better[entry.name]
+        last = in_class[entry.sensing] - worse[entry.name]
         by_group = {name: _share(entry, tracks_of_group, sums, tracks) for name, tracks_of_group in groups.items()}
-        violations = _violations(sums[entry.name, APPROACHES], sums[entry.name, TIME] / 60.0)
+        minutes = sums[entry.name, TIME] / 60.0
+        violations = _violations(sums[entry.name, APPROACHES], minutes)
         rows.append(RankingRow(entry, first, last, by_group, violations))
 
     # Policies that see more are in a class of their own: they are compared only with each other.
-    rows.sort(key=lambda row: (list(SENSING).index(row.entry.sensing), -float(row.of[ALL].mean)))
+    classes = list(SENSING)
+    rows.sort(key=lambda row: (classes.index(row.entry.sensing), -float(row.of[ALL].mean)))
 
     # An interval over fewer trainings would look too certain.
     few = [row.entry.name for row in rows if row.seeds.endswith(f"of {SEEDS}")]
-    notes = [f"Fewer than {SEEDS} training seeds: {', '.join(few)}."] * bool(few) + notes
+    if few:
+        notes = [f"Fewer than {SEEDS} training seeds: {', '.join(few)}.", *notes]
     return Ranking(groups, rows, pairs, notes)
 
 
 def _pairs(entries: list[Entry], sums: Sums, tracks: list[str]) -> list[RankedPair]:
     """The differences of all pairs of a class, with Holm's correction for the pairs of all classes."""
-    compared = [pair for pair in itertools.combinations(entries, 2) if pair[0].sensing == pair[1].sensing]
-    tests = [
-        _difference(
-            sums[one.name, "polite"], sums[other.name, "polite"], functools.partial(_changed, one, other, tracks)
-        )
-        for one, other in compared
-    ]
-    corrected = np.nan_to_num(holm([p for _, p in tests]), nan=1.0)
-    return [
-        RankedPair(one.sensing, one.name, other.name, difference, float(p))
-        for (one, other), (difference, _), p in zip(compared, tests, corrected, strict=True)
-    ]
+    compared = []
+    differences = []
+    p_values = []
+    for one, other in itertools.combinations(entries, 2):
+        if one.sensing != other.sensing:
+            continue
+        changed = functools.partial(_changed, one, other, tracks)
+        shares = sums[one.name, "polite"], sums[other.name, "polite"]
+        difference, p = _difference(*shares, changed)
+        compared.append((one, other))
+        differences.append(difference)
+        p_values.append(p)
+
+    pairs = []
+    corrected = np.nan_to_num(holm(p_values), nan=1.0)
+    for (one, other), difference, p in zip(compared, differences, corrected, strict=True):
+        pairs.append(RankedPair(one.sensing, one.name, other.name, difference, float(p)))
+    return pairs
 
 
 def _sums(entries: list[Entry], tracks: list[str]) -> Sums:
@@ -182,13 +209,17 @@ def _draw(seed: int, sizes: tuple[int, ...]) -> np.ndarray:
 
 def _changed(one: Entry, other: Entry, tracks: list[str]) -> int:
     """How many tasks one of two policies completed politely and the other did not."""
-    pairs = ((polite(one.measured[0][track]), polite(other.measured[0][track])) for track in tracks)
-    return sum(int((ours ^ theirs).sum()) for ours, theirs in pairs)
+    changed = 0
+    for track in tracks:
+        differs = polite(one.measured[0][track]) ^ polite(other.measured[0][track])
+        changed += int(differs.sum())
+    return changed
 
 
 def _share(entry: Entry, members: list[str], sums: Sums, tracks: list[str]) -> Estimate:
     """Percent of tasks that were completed politely; of one seed with none or all, with Wilson's interval."""
-    shares = np.mean([sums[entry.name, "polite"][tracks.index(track)] for track in members], 0)  # (seeds, 1 + R)
+    by_track = sums[entry.name, "polite"]
+    shares = np.mean([by_track[tracks.index(track)] for track in members], 0)  # (seeds, 1 + R)
     episodes = sum(len(entry.measured[0][track]["completed"]) for track in members)
     share = _over_seeds(shares, episodes)
     even = (len(shares) == 1) & ((share.mean == 0.0) | (share.mean == 1.0))
@@ -197,18 +228,23 @@ def _share(entry: Entry, members: list[str], sums: Sums, tracks: list[str]) -> E
 
 def _violations(events: np.ndarray, minutes: np.ndarray) -> Estimate:
     """(S,) violations a minute in each situation, of (tracks, seeds, 1 + R, S); 0 where it never occurs."""
-    events, minutes = events.sum(0), minutes.sum(0)
-    return _over_seeds(events / np.where(minutes > 0, minutes, 1.0), 1)
+    events = events.sum(0)
+    minutes = minutes.sum(0)
+    rate = events / np.where(minutes > 0, minutes, 1.0)
+    return _over_seeds(rate, 1)
 
 
 def _over_seeds(values: np.ndarray, number: int) -> Estimate:
     """The mean of figures (seeds, 1 + R, ...), not negative, over seeds, and its interval."""
-    seeds, middle = values[:, 0], values[:, 0].mean(0)
+    seeds = values[:, 0]
+    middle = seeds.mean(0)
     if len(seeds) == 1:
         low, high = interval(values[0, 1:])
     else:
-        half = stats.t.ppf(0.975, len(seeds) - 1) * seeds.std(0, ddof=1) / len(seeds) ** 0.5
-        low, high = np.maximum(middle - half, 0.0), middle + half
+        deviation = seeds.std(0, ddof=1)
+        half = stats.t.ppf(0.975, len(seeds) - 1) * deviation / len(seeds) ** 0.5
+        low = np.maximum(middle - half, 0.0)
+        high = middle + half
     return Estimate(middle, low, high, np.full(np.shape(middle), number))
 
 
@@ -226,12 +262,16 @@ def _difference(
     """
     values = [100.0 * shares.mean(0) for shares in (one, other)]  # (seeds, 1 + R)
     gaps = values[1].mean(0) - values[0].mean(0)
-    middle, gaps = float(gaps[0]), gaps[1:]
+    middle = float(gaps[0])
+    gaps = gaps[1:]
 
     # Variances of the means over several seeds, and their degrees of freedom.
-    of_seeds = [
-        (float(shares[:, 0].var(ddof=1)) / len(shares), len(shares) - 1) for shares in values if len(shares) > 1
-    ]
+    of_seeds = []
+    for shares in values:
+        seeds = len(shares)
+        if seeds > 1:
+            variance = float(shares[:, 0].var(ddof=1)) / seeds
+            of_seeds.append((variance, seeds - 1))
     square = float(gaps.var(ddof=1)) + sum(variance for variance, _ in of_seeds)
     if square == 0.0:  # no episode differs, or all do in the same way
         return (middle, middle, middle), 0.0 if middle else np.nan

@@ -54,7 +54,9 @@ class Table:
     def label(self, column: str, row: int) -> Any:
         """The text or number in a column of a row."""
         code = int(self.columns[column][row])
-        return self.names[column][code] if column in self.names else code
+        if column not in self.names:
+            return code
+        return self.names[column][code]
 
     def levels(self, column: str) -> list[Any]:
         """The labels of a column, each once, in the order in which they were added."""
@@ -69,7 +71,8 @@ class Table:
             wanted = (labels,) if isinstance(labels, str | int) else tuple(labels)
             if column in self.names:
                 wanted = [code for code, name in enumerate(self.names[column]) if name in wanted]
-            keep &= np.isin(self.columns[column], np.array(wanted, int))
+            codes = np.array(wanted, int)
+            keep &= np.isin(self.columns[column], codes)
         return self.take(np.flatnonzero(keep))
 
     def take(self, rows: np.ndarray) -> Table:
@@ -113,13 +116,20 @@ class Table:
         innermost_first = [self.columns[column] for column in reversed(keys)]
         values = self.value[np.lexsort(innermost_first)]
 
-        width = len(np.unique(self.columns[across])) if across else 1
-        outer = [len(np.unique(self.columns[column])) for column in units[:-1]]
-        sizes = (*outer, len(self) // (width * math.prod(outer)))
+        width = self._number(across) if across else 1
+        outer = [self._number(column) for column in units[:-1]]
+        innermost = len(self) // (width * math.prod(outer))
+        sizes = (*outer, innermost)
         if math.prod(sizes) * width != len(self):
             counts = " x ".join(map(str, (*sizes, width)))
             raise InputError(f"table: {len(self)} rows are not {counts} of {', '.join(keys)}.")
-        return (values.reshape(-1, width) if across else values), sizes
+        if across:
+            values = values.reshape(-1, width)
+        return values, sizes
+
+    def _number(self, column: str) -> int:
+        """How many labels a column has."""
+        return len(np.unique(self.columns[column]))
 
 
 def rows(values: Any, situations: Sequence[str] = (ALL,), **labels: Any) -> Table:
@@ -130,13 +140,16 @@ def rows(values: Any, situations: Sequence[str] = (ALL,), **labels: Any) -> Tabl
     """
     values = np.asarray(values, float).reshape(-1, len(situations))  # (E, S)
     numbers = {"dataset": 0, "seed": 0, "episode": np.arange(len(values))}
-    columns, names = {}, {"situation": tuple(situations)}
+    columns = {}
+    names = {"situation": tuple(situations)}
     for column, label in {**numbers, **labels}.items():
         if isinstance(label, str):
-            names[column], label = (label,), 0
+            names[column] = (label,)
+            label = 0
         column_values = np.broadcast_to(np.asarray(label, np.int32), len(values))
         columns[column] = np.repeat(column_values, len(situations))
-    columns["situation"] = np.tile(np.arange(len(situations), dtype=np.int32), len(values))
+    situation = np.arange(len(situations), dtype=np.int32)
+    columns["situation"] = np.tile(situation, len(values))
     return Table(columns, names, values.ravel())
 
 
@@ -145,16 +158,17 @@ def join(tables: Iterable[Table]) -> Table:
     tables = [table for table in tables if len(table)]
     if not tables:
         return Table({}, {}, np.zeros(0))
-    columns, names = {}, {}
+    columns = {}
+    names = {}
     for column in tables[0].columns:
         codes = [table.columns[column] for table in tables]
         if column in tables[0].names:
             # A label may have another index in each table.
-            names[column] = tuple(dict.fromkeys(name for table in tables for name in table.names[column]))
-            index = {name: code for code, name in enumerate(names[column])}
+            index: dict[str, int] = {}
             for number, table in enumerate(tables):
-                renumbered = np.array([index[name] for name in table.names[column]], np.int32)
-                codes[number] = renumbered[codes[number]]
+                renumbered = [index.setdefault(name, len(index)) for name in table.names[column]]
+                codes[number] = np.array(renumbered, np.int32)[codes[number]]
+            names[column] = tuple(index)
         columns[column] = np.concatenate(codes)
     return Table(columns, names, np.concatenate([table.value for table in tables]))
 
@@ -165,13 +179,15 @@ def join(tables: Iterable[Table]) -> Table:
 def averaged(table: Table, column: str, name: str) -> Table:
     """Means over all labels of a column, episode by episode, as the label ``name``."""
     first, values = _matched(table, column, table.levels(column))
-    return replace(first, value=np.mean(values, 0)).relabel(**{column: name})
+    means = replace(first, value=np.mean(values, 0))
+    return means.relabel(**{column: name})
 
 
 def contrast(table: Table, one: str, other: str, column: str = "policy") -> Table:
     """``one - other`` in the same episodes, as the label "one-other" of a column."""
     first, (ours, theirs) = _matched(table, column, [one, other])
-    return replace(first, value=ours - theirs).relabel(**{column: f"{one}-{other}"})
+    differences = replace(first, value=ours - theirs)
+    return differences.relabel(**{column: f"{one}-{other}"})
 
 
 def _matched(table: Table, column: str, labels: Sequence[str]) -> tuple[Table, list[np.ndarray]]:
@@ -180,14 +196,17 @@ def _matched(table: Table, column: str, labels: Sequence[str]) -> tuple[Table, l
     Raises:
         InputError: the labels have different rows.
     """
-    first, *others = tables = [table.where(**{column: label}) for label in labels]
+    tables = [table.where(**{column: label}) for label in labels]
+    first, *others = tables
     for label, other in zip(labels[1:], others, strict=True):
         for name in first.columns.keys() - {column, *MATCHED}:
             if not np.array_equal(first.columns[name], other.columns[name]):
                 raise InputError(f"table: {labels[0]} and {label} differ in column {name}; compare equal episodes.")
 
     # A policy that does not learn has dataset and seed 0; beside networks its episodes count as theirs.
-    units = {name: np.max([rows.columns[name] for rows in tables], axis=0) for name in MATCHED}
+    units = {}
+    for name in MATCHED:
+        units[name] = np.max([rows.columns[name] for rows in tables], axis=0)
     return replace(first, columns=first.columns | units), [rows.value for rows in tables]
 
 
@@ -197,8 +216,9 @@ def _matched(table: Table, column: str, labels: Sequence[str]) -> tuple[Table, l
 @functools.lru_cache(maxsize=4)  # 160 MB each at most
 def hierarchical(sizes: tuple[int, ...]) -> np.ndarray:
     """(R, E) weights of episodes: of groups where there are several (``hierarchical_resamples``), else of episodes."""
-    grouped = any(size > 1 for size in sizes[:-1])
-    return hierarchical_resamples(sizes) if grouped else resamples(sizes[-1])
+    if any(size > 1 for size in sizes[:-1]):
+        return hierarchical_resamples(sizes)
+    return resamples(sizes[-1])
 
 
 def estimate(
@@ -220,11 +240,15 @@ def estimate(
         bounds: the least and the largest value that a figure can have, or measure -> these.
         draw: weights of the episodes in each resample.
     """
-    estimates, draw = {}, functools.cache(draw)
+    estimates = {}
+    draw = functools.cache(draw)
     divisors = None if per is None else per.groups(by)
     for labels, group in table.groups(by).items():
         values, sizes = group.matrix(across, units)
-        limits = bounds.get(group.label("measure", 0), UNBOUNDED) if isinstance(bounds, Mapping) else bounds
+        if isinstance(bounds, Mapping):
+            limits = bounds.get(group.label("measure", 0), UNBOUNDED)
+        else:
+            limits = bounds
         if divisors is None:
             estimates[labels] = aggregate(values, weights=draw(sizes), bounds=limits)
         else:

@@ -67,21 +67,26 @@ def layout(graph: BehaviorGraph) -> Layout:
     """The layout of a graph."""
     gap = graph.position[:, None] - graph.position[None, :]
     away = length(gap[..., 0], gap[..., 1])
-    here = jnp.eye(graph.radius.shape[0], dtype=bool)
-    joined = jnp.where(jnp.isfinite(graph.edge_cost), away, jnp.inf)
-    return Layout(joined, graph.is_group, graph.groups, jnp.isfinite(graph.cost) & ~here)
+    itself = jnp.eye(graph.radius.shape[0], dtype=bool)
+    edge_length = jnp.where(jnp.isfinite(graph.edge_cost), away, jnp.inf)
+    trips = jnp.isfinite(graph.cost) & ~itself
+    return Layout(edge_length, graph.is_group, graph.groups, trips)
 
 
 def weights_of(graph: BehaviorGraph) -> FlowWeights:
     """The weights of a graph, or 1 if it has none; people are seldom called to groups."""
     distance = layout(graph).length
     joined = jnp.isfinite(distance)
-    ratio = jnp.where(joined, graph.edge_cost, 1.0) / jnp.where(joined, jnp.maximum(distance, 1e-6), 1.0)
+    cost = jnp.where(joined, graph.edge_cost, 1.0)
+    ratio = cost / jnp.where(joined, jnp.maximum(distance, 1e-6), 1.0)
+    goal = jnp.where(graph.is_group, 1.0, graph.weight)
+    nodes = graph.radius.shape[0]
+    groups = graph.groups.shape[0]
     return FlowWeights(
-        goal=jnp.log(jnp.maximum(jnp.where(graph.is_group, 1.0, graph.weight), 1e-9)),
+        goal=jnp.log(jnp.maximum(goal, 1e-9)),
         start=jnp.log(jnp.maximum(graph.spawn, 1e-9)),
         factor=jnp.log(ratio),
-        sent=jnp.full((graph.radius.shape[0], graph.groups.shape[0]), SELDOM),
+        sent=jnp.full((nodes, groups), SELDOM),
     )
 
 
@@ -101,28 +106,38 @@ def expected_flows(
             in a closed population; never if None.
     """
     joined = jnp.isfinite(place.length)
-    edge_cost = jnp.where(joined, jnp.where(joined, place.length, 1.0) * jnp.exp(weights.factor), jnp.inf)
+    edge_cost = jnp.where(joined, place.length, 1.0) * jnp.exp(weights.factor)
+    edge_cost = jnp.where(joined, edge_cost, jnp.inf)
     cost, _ = cheapest_paths(edge_cost, place.is_group)
     chances = jnp.exp(hop_log_chances(edge_cost, cost, place.is_group, temperature))
     onward = chances.transpose(1, 0, 2)  # (goal, node, next)
     if not closed:
         return _open(place, weights, onward)
-    return _closed(place, weights, onward, jnp.zeros_like(weights.sent) if replaced is None else replaced)
+    if replaced is None:
+        replaced = jnp.zeros_like(weights.sent)
+    return _closed(place, weights, onward, replaced)
 
 
 def _open(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"]) -> Flows:
     """People who enter at a start, walk to one goal and leave."""
     count = place.is_group.shape[0]
-    trips = jax.nn.softmax(weights.start)[:, None] * _goal_chances(place, weights.goal)
-    trips = trips / jnp.maximum(jnp.sum(trips), 1e-30)
+    begins = jax.nn.softmax(weights.start)
+    trips = begins[:, None] * _goal_chances(place, weights.goal)
+    trips = trips / jnp.maximum(jnp.sum(trips), 1e-30)  # (start, goal)
+
     # Departures from u on the way to h: people who begin there, and people who pass.
     balance = jnp.eye(count)[None] - onward.transpose(0, 2, 1)
-    leaving = jnp.linalg.solve(balance, trips.T[:, :, None])[..., 0]  # (goal, node)
-    walks = leaving[:, :, None] * onward
+    departures = jnp.linalg.solve(balance, trips.T[:, :, None])[..., 0]  # (goal, node)
+    walks = departures[:, :, None] * onward  # (goal, node, next)
+
+    # Turns on the way, those of people who enter, and those of people who leave.
     turns = jnp.zeros((count + 1, count, count + 1))
-    turns = turns.at[:count, :, :count].set(jnp.einsum("huv,hvw->uvw", walks, onward))
-    turns = turns.at[count, :, :count].set(jnp.einsum("vh,hvw->vw", trips, onward))
-    turns = turns.at[:count, :, count].set(jnp.diagonal(walks, axis1=0, axis2=2))
+    passing = jnp.einsum("huv,hvw->uvw", walks, onward)
+    turns = turns.at[:count, :, :count].set(passing)
+    entering = jnp.einsum("vh,hvw->vw", trips, onward)
+    turns = turns.at[count, :, :count].set(entering)
+    leaving = jnp.diagonal(walks, axis1=0, axis2=2)
+    turns = turns.at[:count, :, count].set(leaving)
     return Flows(jnp.sum(walks, axis=0), turns)
 
 
@@ -136,27 +151,36 @@ class GoalChanges(NamedTuple):
 
 
 def _goal_changes(place: Layout, weights: FlowWeights, replaced: Float[Array, "M G"]) -> GoalChanges:
-    count, group = place.is_group.shape[0], place.is_group
+    group = place.is_group
+    count = group.shape[0]
     itself = jnp.eye(count, dtype=bool)
-    drawn = _goal_chances(place, jnp.where(group, -jnp.inf, weights.goal))  # (node, goal): waypoints alone
+
+    # Waypoints alone are drawn; people are sent to groups.
+    waypoint_weight = jnp.where(group, -jnp.inf, weights.goal)
+    drawn = _goal_chances(place, waypoint_weight)  # (node, goal)
     sent = _sent_chances(place, weights.sent)
     keeps = 1.0 - jnp.sum(sent, axis=1)  # (node,)
+
+    # People give up a group before they are there; on the way to a waypoint they may be sent to a group.
     gives_up = jnp.zeros((count, count)).at[place.groups].set(replaced.T)
-    gives_up = jnp.where(itself | group[None, :], 0.0, gives_up)
-    passes = jnp.where(itself, 0.0, jnp.where(group[:, None], 1.0 - gives_up, keeps[None, :]))
+    gives_up = jnp.where(itself | group[None, :], 0.0, gives_up)  # (goal, node)
+    passes = jnp.where(group[:, None], 1.0 - gives_up, keeps[None, :])
+    passes = jnp.where(itself, 0.0, passes)
     return GoalChanges(drawn * keeps[:, None], sent, gives_up, passes)
 
 
 def _closed(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"], replaced: Float[Array, "M G"]) -> Flows:
     """People who walk from goal to goal. Shares are per goal that is reached or abandoned."""
-    changes, group = _goal_changes(place, weights, replaced), place.is_group
+    changes = _goal_changes(place, weights, replaced)
     begins, sent, gives_up, passes = changes
+    group = place.is_group
     count = group.shape[0]
 
     # Departures towards h are what begins at a node and what passes there without being sent elsewhere.
     balance = jnp.eye(count)[None] - passes[:, :, None] * onward.transpose(0, 2, 1)
     departures = jnp.linalg.inv(balance)  # (goal, node, node where it began)
-    source = _sources(group, changes, jnp.einsum("huv,hub->hvb", onward, departures))
+    arrivals = jnp.einsum("huv,hub->hvb", onward, departures)
+    source = _sources(group, changes, arrivals)  # (node, goal)
     leaving = jnp.einsum("hvb,bh->hv", departures, source)
     walks = leaving[:, :, None] * onward  # (goal, node, next)
 
@@ -166,10 +190,14 @@ def _closed(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"], 
     to_waypoints = jnp.sum(jnp.where(group[:, None, None], 0.0, walks), axis=0)
     candidates = jnp.where(group[None, :], arriving, to_waypoints + abandoned)  # whom a group may call
 
+    # At a node people go on, begin another walk, or are sent to a group.
     turns = jnp.einsum("huv,hv,hvw->uvw", walks, passes, onward)
-    turns = turns + (arriving + abandoned)[:, :, None] * jnp.einsum("vh,hvw->vw", begins, onward)[None]
-    turns = turns + candidates[:, :, None] * jnp.einsum("vh,hvw->vw", sent, onward)[None]
-    all_turns = jnp.zeros((count + 1, count, count + 1)).at[:count, :, :count].set(turns)
+    ending = (arriving + abandoned)[:, :, None]
+    turns = turns + ending * jnp.einsum("vh,hvw->vw", begins, onward)[None]
+    called = candidates[:, :, None]
+    turns = turns + called * jnp.einsum("vh,hvw->vw", sent, onward)[None]
+    all_turns = jnp.zeros((count + 1, count, count + 1))
+    all_turns = all_turns.at[:count, :, :count].set(turns)
     return Flows(jnp.sum(walks, axis=0), all_turns)
 
 
@@ -194,28 +222,38 @@ def _sources(group: Array, changes: GoalChanges, arrivals: Float[Array, "M M M"]
     calls = sent[:, :, None] * called[:, None, :]  # (node, goal, node where it began)
     ends = jnp.where(itself[:, :, None], 1.0, gives_up[:, :, None]) * arrivals  # (goal, node, node where it began)
     reached = jnp.where(group[:, None], 0.0, reached) + jnp.einsum("hwv,vhb->wb", ends, calls)
-    system = jnp.concatenate([(reached - jnp.eye(count))[:-1], jnp.ones((1, count))])
-    goals = jnp.linalg.solve(system, jnp.zeros(count).at[-1].set(1.0))
-    return begins * goals[:, None] + sent * (called @ goals)[:, None]
+
+    # The chain is stationary, and its shares add up to 1.
+    balance = (reached - jnp.eye(count))[:-1]
+    system = jnp.concatenate([balance, jnp.ones((1, count))])
+    total = jnp.zeros(count).at[-1].set(1.0)
+    goals = jnp.linalg.solve(system, total)
+    drawn = begins * goals[:, None]
+    called_on_the_way = sent * (called @ goals)[:, None]
+    return drawn + called_on_the_way
 
 
 def _goal_chances(place: Layout, log_weight: Float[Array, "M"]) -> Float[Array, "M M"]:
     """(M, M) the probability of the column's node as the next goal at the row's node."""
     weight = jnp.exp(log_weight - jnp.max(log_weight))
     odds = jnp.where(place.trips, weight[None, :], 0.0)
-    return odds / jnp.maximum(jnp.sum(odds, axis=1, keepdims=True), 1e-30)
+    total = jnp.sum(odds, axis=1, keepdims=True)
+    return odds / jnp.maximum(total, 1e-30)
 
 
 def _sent_chances(place: Layout, log_odds: Float[Array, "M G"]) -> Float[Array, "M M"]:
     """(M, M) the probability at the row's node of being sent to the column's, which is a group."""
     count = place.is_group.shape[0]
-    odds = jnp.where(place.trips[:, place.groups], jnp.exp(log_odds), 0.0)
-    return jnp.zeros((count, count)).at[:, place.groups].set(odds / (1.0 + jnp.sum(odds, axis=1, keepdims=True)))
+    odds = jnp.where(place.trips[:, place.groups], jnp.exp(log_odds), 0.0)  # (M, G)
+    total = 1.0 + jnp.sum(odds, axis=1, keepdims=True)
+    chances = jnp.zeros((count, count))
+    return chances.at[:, place.groups].set(odds / total)
 
 
 def log_odds(chances: Float[Array, "M G"]) -> Float[Array, "M G"]:
     """(M, G) logarithms of odds against being sent nowhere, as in ``FlowWeights.sent``; tiny odds for chances of 0."""
-    rest = jnp.maximum(1.0 - jnp.sum(chances, axis=1, keepdims=True), RARE)
+    rest = 1.0 - jnp.sum(chances, axis=1, keepdims=True)
+    rest = jnp.maximum(rest, RARE)
     return jnp.log(jnp.maximum(chances, RARE) / rest)
 
 
@@ -228,7 +266,8 @@ def log_likelihood(flows: Flows, edges: Float[Array, "M M"], turns: Float[Array,
 
     def mean_log(expected: Array, counted: Array) -> Array:
         share = expected / jnp.maximum(jnp.sum(expected), 1e-30)
-        return jnp.sum(counted * jnp.log(share + RARE)) / jnp.maximum(jnp.sum(counted), 1.0)
+        total = jnp.sum(counted * jnp.log(share + RARE))
+        return total / jnp.maximum(jnp.sum(counted), 1.0)
 
     return mean_log(flows.turns, turns) + mean_log(flows.edges, edges)
 
@@ -285,7 +324,8 @@ def fit_flows(
     # A high temperature spreads walkers over all routes, so that each edge has a gradient; it cools to the end.
     steps_of_part = max(1, steps // PARTS)
     steps = steps_of_part * PARTS
-    schedule = WARM * (temperature / WARM) ** np.minimum(np.arange(steps) / (0.8 * steps), 1.0)
+    cooled = np.minimum(np.arange(steps) / (0.8 * steps), 1.0)
+    schedule = WARM * (temperature / WARM) ** cooled
 
     optimizer = optax.adam(optax.cosine_decay_schedule(LEARNING_RATE, steps, 0.1))
 
@@ -303,8 +343,9 @@ def fit_flows(
     # The start is the mean of the prior: equal goals, lengths as costs, few people sent to groups.
     weights = jax.tree.map(jnp.zeros_like, weights_of(graph))
     weights = weights.replace(sent=weights.sent + SELDOM)
-    carry, losses = (weights, optimizer.init(weights)), []
+    carry = weights, optimizer.init(weights)
 
+    losses = []
     progress.start("fitting weights", PARTS)
     for part, temperatures in enumerate(np.split(schedule, PARTS)):
         with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
@@ -318,8 +359,9 @@ def fit_flows(
 
     # Stays, capacities and speeds do not affect flows: they are read from the measurement.
     stay, capacity = _groups(measured)
-    speeds = measured.speeds
-    speed = (float(np.mean(speeds)), float(np.std(speeds))) if len(speeds) else (np.nan, np.nan)
+    speed = np.nan, np.nan
+    if len(measured.speeds):
+        speed = float(np.mean(measured.speeds)), float(np.std(measured.speeds))
     return GraphFit(weights, flows, stay, capacity, speed, np.concatenate(losses))
 
 
@@ -335,25 +377,34 @@ class FitData(NamedTuple):
 
     def with_calls(self, weights: FlowWeights) -> FlowWeights:
         """The weights, with known chances to be sent to groups."""
-        return weights if self.sent is None else replace(weights, sent=log_odds(self.sent))
+        if self.sent is None:
+            return weights
+        return replace(weights, sent=log_odds(self.sent))
 
 
 def _fit_data(graph: BehaviorGraph, measured: FlowMeasure, closed: bool, calls: Calls | None) -> FitData:
-    edges, turns = (jnp.asarray(counts, float) for counts in (measured.edges, measured.turns))
+    edges = jnp.asarray(measured.edges, float)
+    turns = jnp.asarray(measured.turns, float)
     count = edges.shape[0]
     if closed:  # people enter and leave only because the measurement begins and ends
-        turns = turns.at[count].set(0.0).at[:, :, count].set(0.0)
-    known = (None, None) if calls is None else (calls.chance_sent, calls.chance_replaced)
-    return FitData(layout(graph), edges, turns, closed, *known)
+        turns = turns.at[count].set(0.0)
+        turns = turns.at[:, :, count].set(0.0)
+    if calls is None:
+        return FitData(layout(graph), edges, turns, closed, None, None)
+    return FitData(layout(graph), edges, turns, closed, calls.chance_sent, calls.chance_replaced)
 
 
 def _loss(weights: FlowWeights, temperature: Array, data: FitData) -> Array:
     """Minus the log-likelihood, and the prior: equal weights, and factors near 1."""
     flows = expected_flows(data.layout, data.with_calls(weights), temperature, data.closed, data.replaced)
     has_edge = np.isfinite(np.asarray(data.layout.length))
+    edges = max(has_edge.sum().item(), 1)
+
     spread = jnp.var(weights.goal) + jnp.var(weights.start)
-    spread = spread + jnp.sum((weights.sent - SELDOM) ** 2) / max(weights.sent.size, 1)
-    spread = spread + jnp.sum(jnp.where(has_edge, weights.factor, 0.0) ** 2) / max(has_edge.sum().item(), 1)
+    sent = (weights.sent - SELDOM) ** 2
+    spread = spread + jnp.sum(sent) / max(weights.sent.size, 1)
+    factor = jnp.where(has_edge, weights.factor, 0.0)
+    spread = spread + jnp.sum(factor**2) / edges
     return PLAIN * spread - log_likelihood(flows, data.edges, data.turns)
 
 
@@ -363,17 +414,24 @@ def _groups(measured: FlowMeasure) -> tuple[np.ndarray, np.ndarray]:
     Stays are uniform between two times, by the median and the interquartile range: stays that were broken off, or that
     ended late, bias these less than the extremes.
     """
-    stays = [_limits(each) if len(each) >= FEWEST_STAYS else (np.nan, np.nan) for each in measured.stays]
-    capacity = [
-        int(np.max(np.flatnonzero(np.cumsum(times[::-1])[::-1] >= FULL_SHARE * measured.seconds), initial=0))
-        for times in measured.members
-    ]
-    return np.array(stays).reshape(-1, 2), np.array(capacity, int)
+    limits = []
+    for stays in measured.stays:
+        enough = len(stays) >= FEWEST_STAYS
+        limits.append(_limits(stays) if enough else (np.nan, np.nan))
+
+    # The capacity is the number of members whom a group had for a good share of the time.
+    capacity = []
+    for times in measured.members:
+        as_many = np.cumsum(times[::-1])[::-1]  # s with so many members, or more
+        numbers = np.flatnonzero(as_many >= FULL_SHARE * measured.seconds)
+        capacity.append(int(np.max(numbers, initial=0)))
+    return np.array(limits).reshape(-1, 2), np.array(capacity, int)
 
 
 def _limits(stays: np.ndarray) -> tuple[float, float]:
-    lower, middle, upper = (float(value) for value in np.quantile(stays, [0.25, 0.5, 0.75]))
-    return max(middle - (upper - lower), 0.0), middle + (upper - lower)
+    lower, middle, upper = np.quantile(stays, [0.25, 0.5, 0.75]).tolist()
+    half = upper - lower
+    return max(middle - half, 0.0), middle + half
 
 
 def flow_error(expected: np.ndarray, measured: np.ndarray) -> float:
@@ -381,10 +439,12 @@ def flow_error(expected: np.ndarray, measured: np.ndarray) -> float:
 
     NaN if one has no walks at all.
     """
-    totals = float(np.sum(expected)), float(np.sum(measured))
-    if not min(totals) > 0.0:
+    expected_total = float(np.sum(expected))
+    measured_total = float(np.sum(measured))
+    if not min(expected_total, measured_total) > 0.0:
         return float("nan")
-    return float(np.abs(expected / totals[0] - measured / totals[1]).sum())
+    difference = expected / expected_total - measured / measured_total
+    return float(np.abs(difference).sum())
 
 
 # ------------------------------------------------------------------ graph.yaml
@@ -403,21 +463,35 @@ def annotate(annotation: Annotation, fit: GraphFit, closed: bool, source: str) -
     nodes = _annotated_nodes(annotation, fit, closed)
     factor = np.asarray(fit.weights.factor, float)
     index = {name: number for number, name in enumerate(annotation.nodes)}
-    ends = [[index[name] for name in edge.between] for edge in annotation.edges]
-    median = np.median([factor[a, b] for pair in ends for a, b in (pair, pair[::-1])]) if ends else 0.0
+    ends = []
+    for edge in annotation.edges:
+        ends.append([index[name] for name in edge.between])
+    median = 0.0
+    if ends:
+        first, second = np.transpose(ends)
+        median = float(np.median([factor[first, second], factor[second, first]]))
+
     edges = []
     for edge, (a, b) in zip(annotation.edges, ends, strict=True):
-        forth, back = (_digits(np.clip(np.exp(value - median), 1e-3, 1e3)) for value in (factor[a, b], factor[b, a]))
+        forth = _relative_factor(float(factor[a, b]), median)
+        back = _relative_factor(float(factor[b, a]), median)
         plain = max(abs(forth - 1.0), abs(back - 1.0)) <= MEDIUM
         edges.append(Edge(between=edge.between, weights=None if plain else (forth, back)))
     return annotation.model_copy(update={"nodes": nodes, "edges": edges, "source": source})
+
+
+def _relative_factor(logarithm: float, median: float) -> float:
+    """The factor of an edge, relative to the median one."""
+    ratio = np.exp(logarithm - median)
+    return _digits(np.clip(ratio, 1e-3, 1e3))
 
 
 def _annotated_nodes(annotation: Annotation, fit: GraphFit, closed: bool) -> dict[str, Node]:
     """The nodes with weights of waypoints, stays and capacities of groups, and in an open population entrances."""
     is_group = np.array([node.kind == "group" for node in annotation.nodes.values()])
     weight = _relative(np.asarray(fit.weights.goal, float), ~is_group)
-    spawn = _relative(np.asarray(fit.weights.start, float), np.ones(len(is_group), bool))
+    every_node = np.ones(len(is_group), bool)
+    spawn = _relative(np.asarray(fit.weights.start, float), every_node)
     group = np.cumsum(is_group) - 1  # number of the group
     nodes: dict[str, Node] = {}
     for number, (name, node) in enumerate(annotation.nodes.items()):
@@ -425,9 +499,11 @@ def _annotated_nodes(annotation: Annotation, fit: GraphFit, closed: bool) -> dic
         if node.kind == "waypoint":
             changes["weight"] = weight[number]
         else:
-            stay, capacity = fit.stay[group[number]], int(fit.capacity[group[number]])
+            stay = fit.stay[group[number]]
+            capacity = int(fit.capacity[group[number]])
             if np.isfinite(stay).all():
-                changes["stay"] = (round(float(stay[0]), 1), round(float(stay[1]), 1))
+                shortest, longest = stay.tolist()
+                changes["stay"] = (round(shortest, 1), round(longest, 1))
             if capacity >= 2:
                 changes["capacity"] = capacity
         nodes[name] = node.model_copy(update=changes)
@@ -437,7 +513,8 @@ def _annotated_nodes(annotation: Annotation, fit: GraphFit, closed: bool) -> dic
 def _relative(logarithm: np.ndarray, counted: np.ndarray) -> list[float]:
     """Weights with a mean of 1 over the counted ones, to three digits."""
     value = np.exp(logarithm - logarithm[counted].max())
-    return [float(_digits(each)) for each in np.clip(value / value[counted].mean(), 0.0, 1e6)]
+    relative = np.clip(value / value[counted].mean(), 0.0, 1e6)
+    return [_digits(weight) for weight in relative]
 
 
 def _digits(value: float) -> float:

@@ -38,7 +38,9 @@ __all__ = [
     "score_samples",
 ]
 
-SEEN, PREDICTED, TIME_STEP = 8, 12, 0.4  # moments, moments, s
+SEEN = 8  # moments
+PREDICTED = 12  # moments
+TIME_STEP = 0.4  # s
 FRAMES = 10  # of the recording, between two moments as [G18] takes them
 TOUCH = 0.2  # m: a predicted pair nearer than this has collided
 LEAST_LIKELY = -20.0  # the least logarithm of a density [S20b]
@@ -86,8 +88,8 @@ def read_windows(path: str | Path, clock: str = "social_gan") -> Windows:
         places = _every_ten_frames(Path(path))
     elif clock == "recorded":
         tracks = read(path, "eth_ucy")
-        there = np.asarray(tracks.present)
-        places = np.where(there[..., None], np.asarray(tracks.position, float), np.nan)
+        present = np.asarray(tracks.present)
+        places = np.where(present[..., None], np.asarray(tracks.position, float), np.nan)
     else:
         raise InputError(f"clock: '{clock}' is not one of social_gan, recorded.")
     places = places[np.isfinite(places).any((1, 2))]  # moments without anybody do not count [G18]
@@ -108,7 +110,8 @@ def evaluate(model: Predictable, windows: Windows, chunk: int = 256, **options) 
         **options: of ``predict``.
     """
     predicted = _predicted(model, windows, chunk, **options)
-    return score(predicted, np.asarray(windows.position)[:, SEEN:], np.asarray(windows.present))
+    recorded = np.asarray(windows.position)[:, SEEN:]
+    return score(predicted, recorded, np.asarray(windows.present))
 
 
 def evaluate_samples(
@@ -120,22 +123,33 @@ def evaluate_samples(
         **options: of ``predict``.
     """
     keys = jax.random.split(random_streams.key("scene", seed), samples)
-    predicted = np.stack([_predicted(model, windows, chunk, key=key, **options) for key in keys])
-    return score_samples(predicted, np.asarray(windows.position)[:, SEEN:], np.asarray(windows.present))
+    predicted = [_predicted(model, windows, chunk, key=key, **options) for key in keys]
+    recorded = np.asarray(windows.position)[:, SEEN:]
+    return score_samples(np.stack(predicted), recorded, np.asarray(windows.present))
 
 
 def _predicted(model: Predictable, windows: Windows, chunk: int, key: Array | None = None, **options) -> np.ndarray:
     """(B, S, N, 2) m, a number of windows at a time."""
-    steps = windows.position.shape[1] - SEEN
+    number, moments = windows.position.shape[:2]
+    steps = moments - SEEN
     parts = []
-    for first in range(0, len(windows.position), chunk):
-        some, there = (np.asarray(part[first : first + chunk]) for part in (windows.position, windows.present))
-        missing = chunk - len(some) if len(windows.position) > chunk else 0  # one shape, compiled once
-        some = np.pad(some, ((0, missing), (0, 0), (0, 0), (0, 0)))[:, :SEEN]
-        there = np.broadcast_to(np.pad(there, ((0, missing), (0, 0)))[:, None], some.shape[:3])
-        own = None if key is None else jax.random.fold_in(key, first)
-        places = jnp.asarray(some), windows.time_step, steps
-        predicted = predict(model, *places, present=jnp.asarray(there), key=own, **options)
+    for first in range(0, number, chunk):
+        observed = np.asarray(windows.position[first : first + chunk])[:, :SEEN]
+        present = np.asarray(windows.present[first : first + chunk])
+
+        # All chunks have one shape, which is compiled once.
+        missing = 0
+        if number > chunk:
+            missing = chunk - len(observed)
+        observed = np.pad(observed, ((0, missing), (0, 0), (0, 0), (0, 0)))  # (chunk, SEEN, N, 2)
+        present = np.pad(present, ((0, missing), (0, 0)))
+        present = np.broadcast_to(present[:, None], observed.shape[:3])
+
+        if key is not None:
+            options["key"] = jax.random.fold_in(key, first)
+        predicted = predict(
+            model, jnp.asarray(observed), windows.time_step, steps, present=jnp.asarray(present), **options
+        )
         parts.append(np.asarray(predicted)[: chunk - missing])
     return np.concatenate(parts)
 
@@ -144,20 +158,23 @@ def score(
     predicted: Float[np.ndarray, "B S N 2"], recorded: Float[np.ndarray, "B S N 2"], present: Bool[np.ndarray, "B N"]
 ) -> Scores:
     """Errors and collisions of predictions (B, S, N, 2) m, at the predicted moments, of the tracks (B, N) present."""
-    predicted, recorded, present = np.asarray(predicted, float), np.asarray(recorded, float), np.asarray(present)
-    away = np.linalg.norm(predicted - recorded, axis=-1)  # (B, S, N)
+    predicted = np.asarray(predicted, float)
+    recorded = np.asarray(recorded, float)
+    present = np.asarray(present)
+    error = np.linalg.norm(predicted - recorded, axis=-1)  # (B, S, N)
     number = present.shape[1]
     touched = np.zeros(present.shape, bool)
     for one in range(number):  # pair by pair, for windows may be many
         for other in range(one + 1, number):
             both = present[:, one] & present[:, other]
-            gap = np.linalg.norm(predicted[:, :, one] - predicted[:, :, other], axis=-1).min(1)
-            hit = both & (gap < TOUCH)
+            gap = predicted[:, :, one] - predicted[:, :, other]  # (B, S, 2)
+            distance = np.linalg.norm(gap, axis=-1).min(1)
+            hit = both & (distance < TOUCH)
             touched[:, one] |= hit
             touched[:, other] |= hit
     return Scores(
-        float(away.mean(1)[present].mean()),
-        float(away[:, -1][present].mean()),
+        float(error.mean(1)[present].mean()),
+        float(error[:, -1][present].mean()),
         float(touched[present].mean()),
         int(present.sum()),
     )
@@ -172,12 +189,14 @@ def score_samples(
 
     The kernels have Scott's width. Where the samples lie on a line, the likelihood is the least.
     """
-    predicted, recorded = (np.moveaxis(np.asarray(part, float), -2, -3) for part in (predicted, recorded))
-    predicted, recorded = predicted[:, present], recorded[present]  # (K, tracks, S, 2), (tracks, S, 2)
-    away = np.linalg.norm(predicted - recorded, axis=-1)
+    predicted = np.moveaxis(np.asarray(predicted, float), -2, -3)
+    recorded = np.moveaxis(np.asarray(recorded, float), -2, -3)
+    predicted = predicted[:, present]  # (K, tracks, S, 2)
+    recorded = recorded[present]  # (tracks, S, 2)
+    error = np.linalg.norm(predicted - recorded, axis=-1)  # (K, tracks, S)
     return SampleScores(
-        float(away.mean(-1).min(0).mean()),
-        float(away[..., -1].min(0).mean()),
+        float(error.mean(-1).min(0).mean()),
+        float(error[..., -1].min(0).mean()),
         -float(_log_density(predicted, recorded).mean()),
         len(predicted),
     )
@@ -185,45 +204,66 @@ def score_samples(
 
 def _log_density(samples: np.ndarray, place: np.ndarray) -> np.ndarray:
     """(...) logarithm of the density of K samples (K, ..., 2) at a place (..., 2), ``LEAST_LIKELY`` at least."""
+    # The kernels have the shape of the samples, and Scott's width, which is squared here.
     number = len(samples)
-    away = samples - samples.mean(0)
-    spread = np.einsum("k...i,k...j->...ij", away, away) / max(number - 1, 1) * number ** (-1.0 / 3.0)  # Scott, squared
-    determinant = np.linalg.det(spread)
+    deviation = samples - samples.mean(0)
+    covariance = np.einsum("k...i,k...j->...ij", deviation, deviation) / max(number - 1, 1)
+    kernel = covariance * number ** (-1.0 / 3.0)  # (..., 2, 2)
+
+    # Samples on a line have no density.
+    determinant = np.linalg.det(kernel)
     usable = determinant > 1e-12
-    inverse = np.linalg.inv(np.where(usable[..., None, None], spread, np.eye(2)))
+    kernel = np.where(usable[..., None, None], kernel, np.eye(2))
+    determinant = np.where(usable, determinant, 1.0)
+
     gap = samples - place
-    power = -0.5 * np.einsum("k...i,...ij,k...j->k...", gap, inverse, gap)
-    density = np.exp(power).mean(0) / (2.0 * np.pi * np.sqrt(np.where(usable, determinant, 1.0)))
-    return np.where(usable, np.log(np.maximum(density, np.exp(LEAST_LIKELY))), LEAST_LIKELY)
+    power = -0.5 * np.einsum("k...i,...ij,k...j->k...", gap, np.linalg.inv(kernel), gap)
+    density = np.exp(power).mean(0) / (2.0 * np.pi * np.sqrt(determinant))
+    logarithm = np.log(np.maximum(density, np.exp(LEAST_LIKELY)))
+    return np.where(usable, logarithm, LEAST_LIKELY)
 
 
 def _every_ten_frames(path: Path) -> np.ndarray:
     """(T, N, 2) m at frames 0, 10, 20, ..., NaN of absent people, who begin at the frame before their first line."""
     recorded = read_lines(path, "eth_ucy")
     order = np.lexsort((recorded.values["frame"], recorded.person))
-    frame, x, y = (recorded.values[name][order] for name in ("frame", "x", "y"))
+    lines = np.stack([recorded.values[name][order] for name in ("frame", "x", "y")])  # (3, L)
     ends = np.flatnonzero(np.diff(recorded.person[order])) + 1
-    first = np.floor(frame.min() / FRAMES)
-    count = int(np.floor(frame.max() / FRAMES) - first) + 1
+    moment = np.floor(lines[0] / FRAMES)
+    first = moment.min()
+    count = int(moment.max() - first) + 1
     places = np.full((count, len(ends) + 1, 2), np.nan)
-    for column, (own, own_x, own_y) in enumerate(zip(*(np.split(each, ends) for each in (frame, x, y)), strict=True)):
-        if len(own) < 2:
+    for column, (frame, x, y) in enumerate(np.split(lines, ends, axis=1)):
+        if len(frame) < 2:
             continue
-        begin, end = int(np.floor(own[0] / FRAMES) - first), int(np.floor(own[-1] / FRAMES) - first)
-        time = (first + np.arange(begin, end + 1)) * FRAMES
-        early = np.minimum(time - own[0], 0.0) / (own[1] - own[0])
-        for axis, line in enumerate((own_x, own_y)):
-            places[begin : end + 1, column, axis] = np.interp(time, own, line) + early * (line[1] - line[0])
+        begin = int(np.floor(frame[0] / FRAMES) - first)
+        end = int(np.floor(frame[-1] / FRAMES) - first) + 1
+        time = (first + np.arange(begin, end)) * FRAMES
+
+        # Before the first line people walk as between the first two.
+        before = np.minimum(time - frame[0], 0.0) / (frame[1] - frame[0])
+        for axis, line in enumerate((x, y)):
+            step = line[1] - line[0]
+            places[begin:end, column, axis] = np.interp(time, frame, line) + before * step
     return places
 
 
 def cut_windows(places: np.ndarray, length: int = SEEN + PREDICTED) -> Windows:
     """The windows of some moments of a recording (T, N, 2) m, NaN of absent people."""
-    there = np.asarray(np.isfinite(places).all(-1))
-    columns = [np.flatnonzero(there[begin : begin + length].all(0)) for begin in range(len(places) - length + 1)]
-    windows = [places[k : k + length, own] for k, own in enumerate(columns) if len(own) >= 2]
-    people = max((each.shape[1] for each in windows), default=0)
-    position, present = np.zeros((len(windows), length, people, 2)), np.zeros((len(windows), people), bool)
-    for row, each in enumerate(windows):
-        position[row, :, : each.shape[1]], present[row, : each.shape[1]] = each, True
+    present_at = np.asarray(np.isfinite(places).all(-1))  # (T, N)
+    windows = []
+    for begin in range(len(places) - length + 1):
+        window = slice(begin, begin + length)
+        people = np.flatnonzero(present_at[window].all(0))
+        if len(people) >= 2:
+            windows.append(places[window, people])
+
+    # Windows have different numbers of people: they are filled up to the most.
+    most = max((window.shape[1] for window in windows), default=0)
+    position = np.zeros((len(windows), length, most, 2))
+    present = np.zeros((len(windows), most), bool)
+    for row, window in enumerate(windows):
+        number = window.shape[1]
+        position[row, :, :number] = window
+        present[row, :number] = True
     return Windows(position=position, present=present, time_step=TIME_STEP)

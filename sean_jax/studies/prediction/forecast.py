@@ -180,7 +180,7 @@ def walking_companions(
     Companions do not repel or evade each other, like walking groups in simulations.
 
     Returns:
-        (N,) the lowest index of the group, -1 alone; and (N, 2) indices of two companions, -1 none.
+        (N,) the lowest index within four links of companions, -1 alone; and (N, 2) indices of two companions, -1 none.
     """
     # Which people belong together is a decision, and no derivative goes through it.
     count = observed.shape[1]
@@ -202,9 +202,9 @@ def walking_companions(
     together = near & walking & walking.T & (difference < UNLIKE_SPEED) & (first < moment[-1] - 1)  # (N, N)
     together = together & (index[:, None] != index[None, :])
 
-    # Companions of companions are one group: each squaring doubles the length of a chain, up to 4.
+    # Companions of companions are one group, over chains of up to four links: each squaring doubles the links.
     linked = together | (index[:, None] == index[None, :])
-    for _ in range(2):  # friends of friends, of friends
+    for _ in range(2):
         linked = (linked.astype(float) @ linked.astype(float)) > 0.5
     linked = linked & (linked.sum(1) > 1)[:, None]
 

@@ -5,6 +5,7 @@ Plans are joined by ``np.concatenate``.
 """
 
 import functools
+import itertools
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -49,17 +50,20 @@ FAR = 1e4  # m, where padding lies
 
 def box(lower: Point, upper: Point) -> Float[np.ndarray, "1 5"]:
     """A box along x and y, from the corner with the smallest coordinates to the corner with the largest [m]."""
-    low, high = np.asarray(lower, float), np.asarray(upper, float)
-    return np.array([[*(low + high) / 2, *(high - low) / 2, 0.0]])
+    low = np.asarray(lower, float)
+    high = np.asarray(upper, float)
+    center = (low + high) / 2
+    half = (high - low) / 2
+    return np.array([[*center, *half, 0.0]])
 
 
 def wall(*points: Point) -> Float[np.ndarray, "W 5"]:
     """A thin wall (0.02 m) along a line of two or more points [m], a box for each segment."""
     rows = []
-    for begin, end in zip(points, points[1:], strict=False):
-        begin, end = np.asarray(begin, float), np.asarray(end, float)
-        along = end - begin
-        rows.append([*(begin + end) / 2, np.hypot(*along) / 2, THIN / 2, np.arctan2(along[1], along[0])])
+    for begin, end in itertools.pairwise(np.asarray(points, float)):
+        center = (begin + end) / 2
+        dx, dy = end - begin
+        rows.append([*center, np.hypot(dx, dy) / 2, THIN / 2, np.arctan2(dy, dx)])
     return np.array(rows).reshape(-1, 5)
 
 
@@ -72,30 +76,43 @@ def room(lower: Point, upper: Point, doors: Iterable[tuple[Point, Point]] = ()) 
     Raises:
         InputError: a door lies on no side.
     """
-    (x0, y0), (x1, y1) = lower, upper
+    x0, y0 = lower
+    x1, y1 = upper
 
     # Walls lie outside of the rectangle, so that its free space is as large as asked for.
-    sides = {("x", x0): (x0 - THICK, x0), ("x", x1): (x1, x1 + THICK)}
-    sides |= {("y", y0): (y0 - THICK, y0), ("y", y1): (y1, y1 + THICK)}
+    sides = {
+        ("x", x0): (x0 - THICK, x0),
+        ("x", x1): (x1, x1 + THICK),
+        ("y", y0): (y0 - THICK, y0),
+        ("y", y1): (y1, y1 + THICK),
+    }
 
     # A door belongs to a side by equal coordinates: rounded ones are refused, not moved.
     openings: dict[tuple[str, float], list[tuple[float, float]]] = {side: [] for side in sides}
     for (ax, ay), (bx, by) in doors:
-        side = ("x", ax) if ax == bx else ("y", ay)
-        if side not in openings:
+        if ("x", ax) in openings and ax == bx:
+            openings["x", ax].append((min(ay, by), max(ay, by)))
+        elif ("y", ay) in openings and ay == by:
+            openings["y", ay].append((min(ax, bx), max(ax, bx)))
+        else:
             raise InputError(f"doors: {((ax, ay), (bx, by))} lies on no side of the room from {lower} to {upper}.")
-        openings[side].append((min(ay, by), max(ay, by)) if ax == bx else (min(ax, bx), max(ax, bx)))
 
     # Walls are what is left of a side between doors; the two along y have the corners as well.
     plan = []
-    for side, (inner, outer) in sides.items():
-        first, last = (y0 - THICK, y1 + THICK) if side[0] == "x" else (x0, x1)
+    for (axis, coordinate), (inner, outer) in sides.items():
+        begin = x0
+        last = x1
+        if axis == "x":
+            begin = y0 - THICK
+            last = y1 + THICK
 
-        # Ends in a row alternate: the begin of a wall, its end at a door, and the next begin.
-        ends = [first, *(end for opening in sorted(openings[side]) for end in opening), last]
-        for begin, end in zip(ends[::2], ends[1::2], strict=True):
-            if end > begin:
-                plan.append(box((inner, begin), (outer, end)) if side[0] == "x" else box((begin, inner), (end, outer)))
+        # A wall begins at the farthest end of the doors before it, because doors may overlap.
+        for end, next_begin in [*sorted(openings[axis, coordinate]), (last, last)]:
+            if end > begin and axis == "x":
+                plan.append(box((inner, begin), (outer, end)))
+            elif end > begin:
+                plan.append(box((begin, inner), (end, outer)))
+            begin = max(begin, next_begin)
     return np.concatenate(plan)
 
 
@@ -105,9 +122,10 @@ def corridor(length: float, width: float, margin: float = 0.0) -> Float[np.ndarr
     Args:
         margin: extension of the walls at both ends [m]; half a period of a periodic corridor.
     """
-    return np.concatenate(
-        [box((-margin, -THICK), (length + margin, 0.0)), box((-margin, width), (length + margin, width + THICK))]
-    )
+    end = length + margin
+    right = box((-margin, -THICK), (end, 0.0))
+    left = box((-margin, width), (end, width + THICK))
+    return np.concatenate([right, left])
 
 
 def environment(plan: Float[np.ndarray, "W 5"]) -> Environment:
@@ -121,11 +139,17 @@ def environment(plan: Float[np.ndarray, "W 5"]) -> Environment:
     plan = np.asarray(plan, float).reshape(-1, 5)
 
     # Half extents of the box around a rotated one: |R| times its own half extents.
-    cosine, sine = np.abs(np.cos(plan[:, 4])), np.abs(np.sin(plan[:, 4]))
-    reach = np.stack([plan[:, 2] * cosine + plan[:, 3] * sine, plan[:, 2] * sine + plan[:, 3] * cosine], 1)  # (W, 2) m
+    center = plan[:, :2]
+    along, across, yaw = plan[:, 2:].T
+    cosine = np.abs(np.cos(yaw))
+    sine = np.abs(np.sin(yaw))
+    reach_x = along * cosine + across * sine
+    reach_y = along * sine + across * cosine
+    reach = np.stack([reach_x, reach_y], 1)  # (W, 2) m
 
     # The origin is a point, too, so that a plan without boxes has a floor.
-    corners = np.concatenate([plan[:, :2] - reach, plan[:, :2] + reach, np.zeros((1, 2))])  # (2 W + 1, 2)
+    origin = np.zeros((1, 2))
+    corners = np.concatenate([center - reach, center + reach, origin])  # (2 W + 1, 2) m
     floor = np.concatenate([corners.min(0) - MARGIN, corners.max(0) + MARGIN])  # (4,) m
     grid = _grid(plan, floor)
 
@@ -136,9 +160,12 @@ def environment(plan: Float[np.ndarray, "W 5"]) -> Environment:
 
     # Padding lies so far away that no force and no ray reaches it.
     rows = np.zeros((number, 5))
-    rows[:, :2], rows[:, 2:4] = FAR, 1.0
+    rows[:, :2] = FAR
+    rows[:, 2:4] = 1.0
     rows[: len(plan)] = plan
-    obstacles = Obstacles(*to_device((rows[:, :2], rows[:, 2:4], rows[:, 4], np.full(number, HEIGHT))))
+    height = np.full(number, HEIGHT)
+    arrays = to_device((rows[:, :2], rows[:, 2:4], rows[:, 4], height))
+    obstacles = Obstacles(*arrays)
 
     # Plans have no outer walls: people may leave over the edge of the floor.
     return Environment(
@@ -153,7 +180,8 @@ def environment(plan: Float[np.ndarray, "W 5"]) -> Environment:
 
 def _grid(plan: np.ndarray, floor: Any) -> ObstacleGrid:
     """The grid of obstacles with ``CELLS`` by ``CELLS`` cells and a padded number of rows in each."""
-    obstacles = Obstacles(plan[:, :2], plan[:, 2:4], plan[:, 4], np.full(len(plan), HEIGHT))  # pyright: ignore
+    height = np.full(len(plan), HEIGHT)
+    obstacles = Obstacles(plan[:, :2], plan[:, 2:4], plan[:, 4], height)  # pyright: ignore
     cell = max(1.0, float((floor[2:] - floor[:2]).max()) / CELLS + 1e-6)
     grid = build_obstacle_grid(obstacles, floor, cell)
     rows = np.asarray(grid.rows)
@@ -161,7 +189,8 @@ def _grid(plan: np.ndarray, floor: Any) -> ObstacleGrid:
     if near is None:
         raise InputError(f"walls: {rows.shape[2]} boxes of {len(plan)} lie near one place; use fewer and larger boxes.")
     padded = np.zeros((*rows.shape[:2], near, 6))
-    padded[..., 0], padded[..., 1], padded[..., 4] = FAR, FAR, 1.0
+    padded[..., :2] = FAR
+    padded[..., 4] = 1.0
     padded[:, :, : rows.shape[2]] = rows
     missing = [(0, CELLS - count) for count in rows.shape[:2]]
     padded = np.pad(padded, [*missing, (0, 0), (0, 0)], mode="edge")  # places off the floor have the rows of its edge
@@ -188,8 +217,9 @@ class Scene:
 
     def robot_path(self, time: np.ndarray) -> np.ndarray:
         """(T, 2) m, where the robot is at times (T,) s; the origin without one."""
-        place, velocity = (np.asarray(part, float) for part in self.robot or ((0.0, 0.0), (0.0, 0.0)))
-        return place + np.asarray(time)[:, None] * velocity
+        place, velocity = self.robot or ((0.0, 0.0), (0.0, 0.0))
+        way = np.asarray(time)[:, None] * np.asarray(velocity, float)
+        return np.asarray(place, float) + way
 
 
 @dataclass(frozen=True)
@@ -244,15 +274,20 @@ class Periodic:
 
     def __call__(self, scenario: Scenario, state: State) -> Pedestrians:
         """N people one control step later, none of whom walks in company."""
-        people, period = state.pedestrians, scenario.behavior.data.period
+        people = state.pedestrians
+        period = scenario.behavior.data.period
         number = people.group.shape[0]
         side = jnp.where(people.position[:, 0] < 0.5 * period, period, -period)
         images = replace(people, position=people.position.at[:, 0].add(side))
         both = jax.tree.map(lambda one, other: jnp.concatenate([one, other]), people, images)
-        after = self.move(replace(scenario, people=2 * number), replace(state, pedestrians=both))
+        state = replace(state, pedestrians=both)
+        after = self.move(replace(scenario, people=2 * number), state)
+
+        # The images are dropped; who has left at one end comes in at the other.
         after = jax.tree.map(lambda leaf: leaf[:number], after)
         x = after.position[:, 0]
-        return replace(after, position=after.position.at[:, 0].set(x - period * jnp.floor(x / period)))
+        x = x - period * jnp.floor(x / period)
+        return replace(after, position=after.position.at[:, 0].set(x))
 
 
 @functools.cache
@@ -271,7 +306,8 @@ def scenario_of(scene: Scene, moved_by: Model | None = None) -> Scenario:
     """
     chosen = model() if moved_by is None else moved_by
     behavior = walkers_behavior(scene.walkers, scene.gates, exits=scene.exits, period=scene.period or 0.0)
-    forces, move = chosen.forces, chosen.move
+    move = chosen.move if scene.period is None else Periodic(chosen.move)
+    forces = chosen.forces
     one: Any = jax.device_put(np.asarray(1.0, float))
     return Scenario(
         environment=environment(scene.walls),
@@ -284,7 +320,7 @@ def scenario_of(scene: Scene, moved_by: Model | None = None) -> Scenario:
         task_distance=one,
         robot=_robot(bool(jax.config.jax_enable_x64)),  # pyright: ignore[reportAttributeAccessIssue]
         task=_no_task,
-        move=move if scene.period is None else Periodic(move),
+        move=move,
         situations=(),
         metrics=(),
         time_step=TIME_STEP,
@@ -297,19 +333,23 @@ def scenario_of(scene: Scene, moved_by: Model | None = None) -> Scenario:
 
 def stage(scenario: Scenario, scene: Scene) -> State:
     """The first state of a scene in its scenario, without a robot task."""
-    robot = (jnp.asarray(part, float) for part in scene.robot or ((AWAY, AWAY), (0.0, 0.0)))
-    return _first_state(scenario, random_streams.key("scene", scene.seed), *robot)
+    place, velocity = scene.robot or ((AWAY, AWAY), (0.0, 0.0))
+    key = random_streams.key("scene", scene.seed)
+    return _first_state(scenario, key, jnp.asarray(place, float), jnp.asarray(velocity, float))
 
 
 @jax.jit
 def _first_state(scenario: Scenario, key: Array, place: Array, velocity: Array) -> State:
     pedestrians, groups, memory = scenario.behavior.reset(scenario, key)
-    pedestrians = social_forces.individualize(
-        scenario.forces, pedestrians, jax.random.fold_in(key, random_streams.TRAITS)
-    )
+    traits_key = jax.random.fold_in(key, random_streams.TRAITS)
+    pedestrians = social_forces.individualize(scenario.forces, pedestrians, traits_key)
+
+    # A robot that stands looks along x.
     speed = jnp.sqrt((velocity * velocity).sum())
-    heading = jnp.where(speed > 0.0, velocity / jnp.where(speed > 0.0, speed, 1.0), jnp.asarray([1.0, 0.0], float))
-    robot: Robot = replace(scenario.robot.place(scenario.robot, place, heading), speed=speed)
+    direction = velocity / jnp.where(speed > 0.0, speed, 1.0)
+    heading = jnp.where(speed > 0.0, direction, jnp.asarray([1.0, 0.0], float))
+    robot: Robot = scenario.robot.place(scenario.robot, place, heading)
+    robot = replace(robot, speed=speed)
     nothing: Any = None
     return State(
         streams=random_streams.streams(key),

@@ -45,12 +45,14 @@ def simulate(
     several = [scenes] if isinstance(scenes, Scene) else list(scenes)
     tracks_of: dict[int, Tracks] = {}
     for group in _batches(several):
-
+        # Shares of a batch are shares of all scenes; scenes of the batches before are done.
         def part(share: float, before: int = len(tracks_of), number: int = len(group)) -> None:
             if report is not None:
                 report((before + share * number) / len(several))
 
-        tracks_of |= zip(group, _together([several[index] for index in group], chosen, part), strict=True)
+        batch = [several[index] for index in group]
+        tracks = _together(batch, chosen, part)
+        tracks_of |= zip(group, tracks, strict=True)
     return [tracks_of[index] for index in range(len(several))]
 
 
@@ -60,7 +62,8 @@ def advance(scenario: Scenario, state: State) -> State:
     state = steps.direct_pedestrians(scenario, state, key)
     state = steps.move_pedestrians(scenario, state)
     robot = state.robot
-    robot = replace(robot, position=robot.position + scenario.time_step * robot.speed * robot.heading)
+    position = robot.position + scenario.time_step * robot.speed * robot.heading
+    robot = replace(robot, position=position)
     return replace(state, robot=robot, tick=state.tick + 1)
 
 
@@ -84,12 +87,17 @@ def _batches(scenes: list[Scene]) -> list[list[int]]:
         late = bool((np.asarray(scene.walkers.entry_time) > 0.0).any())
         company = bool((np.asarray(scene.walkers.companion) >= 0).any())
         many = len(scene.gates) > GATES[0]
-        kind = size, scene.period is None, bool(scene.exits), late, company, many, index if size >= LARGE else -1
+        alone = index if size >= LARGE else -1
+        choice = bool(scene.exits)
+        kind = size, scene.period is None, choice, late, company, many, alone
         kinds.setdefault(kind, []).append(index)
+
     batches = []
     for (size, *_), members in kinds.items():
-        most = max(each for each in BATCHES if each == 1 or each * size <= MAX_TOGETHER)
-        batches += [members[k : k + most] for k in range(0, len(members), most)]
+        allowed = [number for number in BATCHES if number == 1 or number * size <= MAX_TOGETHER]
+        most = max(allowed)
+        for first in range(0, len(members), most):
+            batches.append(members[first : first + most])
     return batches
 
 
@@ -97,7 +105,9 @@ def _together(scenes: list[Scene], chosen: Model, report: Callable[[float], None
     """Scenes of one size, in parallel."""
     # A batch needs equal shapes in all leaves; the size of the crowd alone does not ensure it.
     scenarios = [scenario_of(scene, chosen) for scene in scenes]
-    shapes = {tuple(np.shape(leaf) for leaf in jax.tree.leaves(each)) for each in scenarios}
+    shapes = set()
+    for scenario in scenarios:
+        shapes.add(tuple(np.shape(leaf) for leaf in jax.tree.leaves(scenario)))
     if len(shapes) > 1:  # of plans with few and with many walls
         return [_together([scene], chosen, lambda share: None)[0] for scene in scenes]
     states = [stage(scenario, scene) for scenario, scene in zip(scenarios, scenes, strict=True)]
@@ -105,27 +115,29 @@ def _together(scenes: list[Scene], chosen: Model, report: Callable[[float], None
         return [_one(scenes[0], scenarios[0], states[0], report)]
 
     # Filled up with copies of the first scene, whose results are dropped: few sizes, few programs.
-    number = next(each for each in BATCHES if each >= len(scenes))
-    filled = [*range(len(scenes)), *([0] * (number - len(scenes)))]
-    scenario, state = (
-        jax.tree.map(lambda *rows: _stack(rows), *[parts[k] for k in filled]) for parts in (scenarios, states)
-    )
+    number = next(size for size in BATCHES if size >= len(scenes))
+    missing = number - len(scenes)
+    scenario = _stacked(scenarios + [scenarios[0]] * missing)
+    state = _stacked(states + [states[0]] * missing)
 
     # Spans are short programs: a batch ends early when everybody has left.
     frames = [_snapshot(state)]
-    seconds = max(scene.seconds for scene in scenes)
-    for number in range(_spans(seconds)):
+    spans = _spans(max(scene.seconds for scene in scenes))
+    for turn in range(spans):
         state, span = _side_by_side(scenario, state)
-        report((number + 1) / _spans(seconds))
-        frames += [tuple(np.moveaxis(np.asarray(part), 1, 0) for part in span)]
+        report((turn + 1) / spans)
+        frames.append(tuple(np.moveaxis(np.asarray(part), 1, 0) for part in span))
         if not _left(state):
             break
 
     # Moments of all spans, of scene k the first N columns: the others are padding.
-    parts = [np.concatenate([frame[k] for frame in frames]) for k in range(3)]
-    return [
-        _tracks(scene, *(part[:, k, : len(scene.walkers.start)] for part in parts)) for k, scene in enumerate(scenes)
-    ]
+    parts = _joined(frames)
+    tracks = []
+    for k, scene in enumerate(scenes):
+        people = len(scene.walkers.start)
+        of_scene = [part[:, k, :people] for part in parts]
+        tracks.append(_tracks(scene, *of_scene))
+    return tracks
 
 
 def _one(scene: Scene, scenario: Scenario, state: State, report: Callable[[float], None]) -> Tracks:
@@ -133,82 +145,121 @@ def _one(scene: Scene, scenario: Scenario, state: State, report: Callable[[float
     number = len(scene.walkers.start)
     columns = np.arange(scenario.people)
     frames = [tuple(part[:, :number] for part in _snapshot(state))]
-    for turn in range(_spans(scene.seconds)):
+    spans = _spans(scene.seconds)
+    for turn in range(spans):
         state, span = _alone(scenario, state)
-        report((turn + 1) / _spans(scene.seconds))
+        report((turn + 1) / spans)
+
+        # People who were dropped stay where they were, and are absent.
+        position, facing, _ = frames[-1]
+        position = np.repeat(position[-1:], SPAN, axis=0)
+        facing = np.repeat(facing[-1:], SPAN, axis=0)
+        present = np.zeros((SPAN, number), bool)
+        frame = position, facing, present
+
+        # The others are in the columns of the scene that they had before the crowd shrank.
         index = np.flatnonzero(columns < number)
-        position, facing = (np.repeat(part[-1:], SPAN, axis=0) for part in frames[-1][:2])
-        frames.append((position, facing, np.zeros((SPAN, number), bool)))
-        for whole, part in zip(frames[-1], span, strict=True):
+        for whole, part in zip(frame, span, strict=True):
             whole[:, columns[index]] = np.asarray(part)[:, index]
+        frames.append(frame)
         if not _left(state):
             break
         scenario, state, columns = _shrunk(scene, scenario, state, columns)
-    return _tracks(scene, *(np.concatenate(part) for part in zip(*frames, strict=True)))
+
+    return _tracks(scene, *_joined(frames))
 
 
 def _shrunk(scene: Scene, scenario: Scenario, state: State, columns: np.ndarray) -> tuple[Scenario, State, np.ndarray]:
     """Without people who have left, if the crowd then fits the next smaller size."""
     number = len(scene.walkers.start)
-    late = columns < number
-    gone = np.asarray(state.memory.entered) & ~np.asarray(state.pedestrians.present)
-    keep = np.flatnonzero(late & ~gone)
-    size = next((each for each in SMALLER if each >= len(keep)), len(columns))
-    if len(columns) < LARGE or size >= len(columns) or scenario.behavior.companions is not None:
+    entered = np.asarray(state.memory.entered)
+    gone = entered & ~np.asarray(state.pedestrians.present)
+    counts = (columns < number) & ~gone
+    keep = np.flatnonzero(counts)
+
+    # Companions are indices, which would have to change with the columns.
+    size = next((size for size in SMALLER if size >= len(keep)), len(columns))
+    in_company = scenario.behavior.companions is not None
+    if len(columns) < LARGE or size >= len(columns) or in_company:
         return scenario, state, columns
-    fill = np.flatnonzero(~(late & ~gone))[: size - len(keep)]
-    chosen = np.concatenate([keep, fill])
-    take = lambda tree: jax.tree.map(lambda leaf: _take(leaf, chosen), tree)  # noqa: E731
+
+    # People who have left fill the crowd up to the size; their columns are none of the tracks.
+    fill = np.flatnonzero(~counts)[: size - len(keep)]
+    rows = np.concatenate([keep, fill])
+    columns = columns[rows]
+    columns[len(keep) :] = number
+
     plan = scenario.behavior.data
-    behavior = replace(scenario.behavior, data=replace(plan, walkers=take(plan.walkers)), people=size)
-    state = replace(state, pedestrians=take(state.pedestrians), memory=take(state.memory))
-    left = np.where(np.isin(np.arange(size), np.arange(len(keep))), columns[chosen], number)
-    return replace(scenario, behavior=behavior, people=size), state, left
+    plan = replace(plan, walkers=_take(plan.walkers, rows))
+    behavior = replace(scenario.behavior, data=plan, people=size)
+    scenario = replace(scenario, behavior=behavior, people=size)
+    people = _take(state.pedestrians, rows)
+    memory = _take(state.memory, rows)
+    return scenario, replace(state, pedestrians=people, memory=memory), columns
 
 
-def _take(leaf: Array, rows: np.ndarray) -> Any:
-    return jax.device_put(np.asarray(leaf)[rows])
+def _take(tree: Any, rows: np.ndarray) -> Any:
+    """These rows of all leaves."""
+    return jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf)[rows]), tree)
+
+
+def _stacked(trees: Sequence[Any]) -> Any:
+    """Trees of equal shapes as one, along a first axis."""
+    return jax.tree.map(lambda *rows: _stack(rows), *trees)
 
 
 def _stack(rows: tuple) -> Any:
     if jnp.issubdtype(rows[0].dtype, jax.dtypes.prng_key):
         return jnp.stack(rows)
-    return jax.device_put(np.stack([np.asarray(row) for row in rows]))
+    leaves = [np.asarray(row) for row in rows]
+    return jax.device_put(np.stack(leaves))
 
 
 def _moment(state: State) -> tuple[Array, Array, Array]:
     """Positions (N, 2), looks (N, 2) and presence (N,) of people."""
     people = state.pedestrians
-    return people.position, jnp.stack(look_direction(people), -1), people.present
+    looks = jnp.stack(look_direction(people), -1)
+    return people.position, looks, people.present
 
 
 def _snapshot(state: State) -> tuple[np.ndarray, ...]:
     """(1, B, N, 2), (1, B, N, 2), (1, B, N): as a span of one moment."""
-    moment = _moment if state.pedestrians.present.ndim == 1 else jax.vmap(_moment)
+    moment = _moment
+    if state.pedestrians.present.ndim == 2:
+        moment = jax.vmap(_moment)
     return tuple(np.asarray(part)[None] for part in moment(state))
+
+
+def _joined(frames: Sequence[tuple[np.ndarray, ...]]) -> list[np.ndarray]:
+    """Positions, looks and presence of all spans, one after the other."""
+    return [np.concatenate(part) for part in zip(*frames, strict=True)]
 
 
 def _left(state: State) -> bool:
     """Whether people are present or still to come."""
-    coming = ~np.asarray(state.memory.entered) & (np.asarray(state.memory.gate) >= 0)
-    return bool((np.asarray(state.pedestrians.present) | coming).any())
+    has_gate = np.asarray(state.memory.gate) >= 0
+    coming = ~np.asarray(state.memory.entered) & has_gate
+    present = np.asarray(state.pedestrians.present)
+    return bool((present | coming).any())
 
 
 def _spans(seconds: float) -> int:
-    return int(np.ceil(seconds / (SPAN * TIME_STEP) - 1e-9))
+    number = seconds / (SPAN * TIME_STEP)
+    return int(np.ceil(number - 1e-9))
 
 
 def _tracks(scene: Scene, position: np.ndarray, facing: np.ndarray, present: np.ndarray) -> Tracks:
     """The recording of a scene, no longer than the scene lasts."""
-    last = min(len(position), int(round(scene.seconds / TIME_STEP)) + 1)
-    position, facing, present = position[:last], facing[:last], present[:last]
-    number = np.broadcast_to(np.arange(present.shape[1], dtype=np.int32), present.shape)
+    moments = int(round(scene.seconds / TIME_STEP)) + 1
+    last = min(len(position), moments)
+    present = present[:last]
+    column = np.arange(present.shape[1], dtype=np.int32)
     fields: Any = dict(
-        position=position,
-        facing=facing,
+        position=position[:last],
+        facing=facing[:last],
         group=np.full(present.shape, -1, np.int32),
         present=present,
-        person=np.where(present, number, -1),
+        person=np.where(present, column, -1),
         frame=np.arange(last, dtype=np.int32),
     )
     return Tracks(**fields, time_step=TIME_STEP)

@@ -34,7 +34,8 @@ SPEED = 1.34, 0.26  # m/s, mean and deviation: Helbing & Molnar, Phys. Rev. E 51
 TRIES = 20_000  # places tried by ``spread`` at a time
 NEVER = 1e9  # s, entry time of padding
 PEOPLE = 16, 64, 128, 256, 512, 1024, 2048, 4096  # sizes to which crowds are padded
-GATES, LEGS = (32, 256), 8  # sizes to which gates, and gates of one route, are padded
+GATES = 32, 256  # sizes to which gates are padded
+LEGS = 8  # size to which the gates of one route are padded
 AWAY = 1e3  # m, where absent people are, and the robot of a scene without one
 
 
@@ -102,21 +103,27 @@ def walkers(
     start = np.asarray(start, float).reshape(-1, 2)
     number = len(start)
     if speed is None:
-        speed = np.clip(np.random.default_rng([seed, 7]).normal(*SPEED, number), 0.5, 2.2)
+        drawn = np.random.default_rng([seed, 7]).normal(*SPEED, number)
+        speed = np.clip(drawn, 0.5, 2.2)
     companion = np.full((number, 2), -1, np.int32)
     if together:
         speed = float(np.min(speed))
-        companion[1:, 0], companion[:-1, 1] = np.arange(number - 1), np.arange(1, number)
+        companion[1:, 0] = np.arange(number - 1)
+        companion[:-1, 1] = np.arange(1, number)
     fields: Any = dict(
         start=start,
-        velocity=np.broadcast_to(np.asarray(velocity, float), (number, 2)),
-        preferred_speed=np.broadcast_to(np.asarray(speed, float), (number,)),
-        entry_time=np.broadcast_to(np.asarray(entry_time, float), (number,)),
-        reaction_time=np.broadcast_to(np.asarray(reaction_time, float), (number,)),
+        velocity=_broadcast(velocity, number, 2),
+        preferred_speed=_broadcast(speed, number),
+        entry_time=_broadcast(entry_time, number),
+        reaction_time=_broadcast(reaction_time, number),
         route=np.broadcast_to(np.asarray(route, np.int32), (number, len(route))),
         companion=companion,
     )
     return Walkers(**fields)
+
+
+def _broadcast(value: Any, *shape: int) -> np.ndarray:
+    return np.broadcast_to(np.asarray(value, float), shape)
 
 
 def join(*parts: Walkers) -> Walkers:
@@ -125,8 +132,12 @@ def join(*parts: Walkers) -> Walkers:
     crowds: list[Walkers] = []
     before = 0
     for part in parts:
-        route = np.pad(np.asarray(part.route), ((0, 0), (0, legs - part.route.shape[1])), constant_values=-1)
-        companion = np.where(np.asarray(part.companion) >= 0, np.asarray(part.companion) + before, -1)
+        missing = legs - part.route.shape[1]
+        route = np.pad(np.asarray(part.route), ((0, 0), (0, missing)), constant_values=-1)
+
+        # Companions are indices in the part, and then in the crowd.
+        companion = np.asarray(part.companion)
+        companion = np.where(companion >= 0, companion + before, -1)
         crowds.append(replace(part, route=route, companion=companion))
         before += len(part.start)
     return jax.tree.map(lambda *rows: np.concatenate(rows), *crowds)
@@ -141,13 +152,18 @@ def source(
         speed: preferred speed [m/s]; drawn if None.
     """
     generator = np.random.default_rng([seed, 11])
-    left, right = np.asarray(gate.left, float), np.asarray(gate.right, float)
-    inset = min(MARGIN / max(np.hypot(*(left - right)), 1e-9), 0.5)
-    place = left + generator.uniform(inset, 1.0 - inset, (number, 1)) * (right - left)
+    left = np.asarray(gate.left, float)
+    right = np.asarray(gate.right, float)
+    width = max(np.hypot(*(left - right)), 1e-9)
+    inset = min(MARGIN / width, 0.5)
+    share = generator.uniform(inset, 1.0 - inset, (number, 1))
+    place = left + share * (right - left)  # (N, 2) m
     people = walkers(place, route=route, speed=speed, seed=seed, entry_time=np.arange(number) / rate)
+
     across = np.array([left[1] - right[1], right[0] - left[0]])
     across = across / max(np.hypot(*across), 1e-9)
-    return replace(people, velocity=across * np.asarray(people.preferred_speed)[:, None])
+    velocity = across * np.asarray(people.preferred_speed)[:, None]
+    return replace(people, velocity=velocity)
 
 
 def spread(lower: Point, upper: Point, number: int, seed: int = 0, apart: float = 0.42) -> Float[np.ndarray, "N 2"]:
@@ -156,29 +172,38 @@ def spread(lower: Point, upper: Point, number: int, seed: int = 0, apart: float 
     If the rectangle is too full for a random draw, places are a grid with random displacements, nearer if need be.
     """
     generator = np.random.default_rng([seed, 3])
-    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    low = np.asarray(lower, float)
+    high = np.asarray(upper, float)
     size = high - low
     chosen = np.zeros((0, 2))
     if number * apart**2 < 0.5 * float(np.prod(size)):
         for point in generator.uniform(low, high, (TRIES, 2)):
             if len(chosen) == number:
                 break
-            if not len(chosen) or np.square(chosen - point).sum(1).min() >= apart**2:
+            square = np.square(chosen - point).sum(1)  # m2
+            if square.min(initial=np.inf) >= apart**2:
                 chosen = np.concatenate([chosen, point[None]])
-    return chosen if len(chosen) >= number else _displaced_grid(generator, low, size, number, apart)
+    if len(chosen) < number:
+        return _displaced_grid(generator, low, size, number, apart)
+    return chosen
 
 
 def _displaced_grid(
     generator: np.random.Generator, low: np.ndarray, size: np.ndarray, number: int, apart: float
 ) -> np.ndarray:
     """(N, 2) m: random cells of a grid, displaced as far as the distance ``apart`` allows."""
-    columns = max(1, int(np.ceil(np.sqrt(number * size[0] / max(size[1], 1e-9)))))
+    width, height = size
+    columns = np.sqrt(number * width / max(height, 1e-9))
+    columns = max(1, int(np.ceil(columns)))
     rows = int(np.ceil(number / columns))
     step = size / (columns, rows)
+
     cells = generator.permutation(columns * rows)[:number]
-    center = low + (np.stack([cells % columns, cells // columns], 1) + 0.5) * step
+    column_row = np.stack([cells % columns, cells // columns], 1)  # (N, 2)
+    center = low + (column_row + 0.5) * step
     room = np.maximum(step - apart, 0.0) / 2
-    return center + generator.uniform(-1.0, 1.0, (number, 2)) * room
+    displacement = generator.uniform(-1.0, 1.0, (number, 2)) * room
+    return center + displacement
 
 
 def padded_size(number: int) -> int:
@@ -198,26 +223,35 @@ def walkers_behavior(
     Raises:
         InputError: a route names a gate that does not exist, or there are too many gates.
     """
-    route, number = np.asarray(people.route), len(gates)
-    padded = next((gates for gates in GATES if gates >= number), None)
+    route = np.asarray(people.route)
+    number = len(gates)
+    padded = next((size for size in GATES if size >= number), None)
     if padded is None or route.shape[1] > LEGS:
         raise InputError(f"gates: {number}, of a route {route.shape[1]}; {GATES[-1]} and {LEGS} are the most.")
     if route.max(initial=-1) >= number:
         raise InputError(f"route: names gate {route.max()}, but there are {number} gates.")
     table = np.zeros((padded, 2, 2))
-    table[:number] = np.asarray([tuple(gate) for gate in gates], float).reshape(-1, 2, 2)
+    ends = np.asarray([tuple(gate) for gate in gates], float)
+    table[:number] = ends.reshape(-1, 2, 2)
     is_exit = np.isin(np.arange(padded), np.asarray(exits, int))
-    late = bool((np.asarray(people.entry_time) > 0.0).any())
+    sources = bool((np.asarray(people.entry_time) > 0.0).any())
+
+    # People beyond the last one fill the crowd up to a size that others have, too.
     size = padded_size(len(people.start))
     people = _padded(people, size)
+    companions = None
+    if (people.companion >= 0).any():
+        companions = jnp.asarray(people.companion, jnp.int32)
+
     arrays = jax.device_put((people, table, is_exit, np.asarray(period, float)))
     arrays = jax.tree.map(lambda leaf: leaf.astype(float) if leaf.dtype.kind == "f" else leaf, arrays)
+    plan = Plan(*arrays, sources=sources, choice=bool(is_exit.any()))
     return Behavior(
-        data=Plan(*arrays, sources=late, choice=bool(is_exit.any())),
+        data=plan,
         name="walkers",
         reset=reset,
         direct=direct,
-        companions=jnp.asarray(people.companion, jnp.int32) if (people.companion >= 0).any() else None,
+        companions=companions,
         people=size,
     )
 
@@ -226,53 +260,72 @@ def _padded(people: Walkers, size: int) -> Walkers:
     """``size`` walkers; walkers beyond N never enter."""
     number = len(people.start)
     more = size - number
+    along_x = 2.0 * np.arange(more)[:, None] * np.array([1.0, 0.0])  # nobody stands on another
     fill: dict[str, Any] = dict(
-        start=AWAY + 2.0 * np.arange(more)[:, None] * np.array([1.0, 0.0]),
+        start=AWAY + along_x,
         velocity=np.zeros((more, 2)),
         preferred_speed=np.ones(more),
         entry_time=np.full(more, NEVER),
         reaction_time=np.zeros(more),
         companion=np.full((more, 2), -1, np.int32),
     )
-    parts = {name: np.concatenate([np.asarray(getattr(people, name)), rows]) for name, rows in fill.items()}
+    fields: dict[str, Any] = {}
+    for name, rows in fill.items():
+        present = np.asarray(getattr(people, name))
+        fields[name] = np.concatenate([present, rows])
     route = np.full((size, LEGS), -1, np.int32)
     route[:number, : people.route.shape[1]] = people.route
-    return Walkers(**parts, route=route)  # pyright: ignore[reportArgumentType]
+    return Walkers(**fields, route=route)  # pyright: ignore[reportArgumentType]
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     """N people at the start, present if they enter at once, no groups, and the memory of their routes."""
-    people: Walkers = scenario.behavior.data.walkers
-    present = people.entry_time <= 0.0
-    heading, speed = _heading(scenario.behavior.data), people.preferred_speed
-    pedestrians = pedestrians_at(people.start, people.velocity, preferred_speed=speed, present=present, heading=heading)
+    plan: Plan = scenario.behavior.data
+    people = plan.walkers
     number = people.start.shape[0]
+    present = people.entry_time <= 0.0
+    heading = _heading(plan)
+    speed = people.preferred_speed
+    pedestrians = pedestrians_at(people.start, people.velocity, preferred_speed=speed, present=present, heading=heading)
+
     companions = scenario.behavior.companions
-    leader = jnp.full(number, -1, jnp.int32) if companions is None else _leaders(companions)
+    if companions is None:
+        leader = jnp.full(number, -1, jnp.int32)
+    else:
+        leader = _leaders(companions)
     distance = draw_traits(scenario.forces, key, number)[1]
     pedestrians = replace(pedestrians, robot_distance=distance, walking_group=leader)
-    pairs, none = jnp.zeros((0, 2), float), jnp.zeros(0, float)
-    groups = Groups(center=pairs, radius=none, opening=pairs, present=jnp.zeros(0, bool))
-    return pedestrians, groups, Memory(jnp.zeros(number, jnp.int32), people.route[:, 0], present)
+
+    # Walkers stand in no groups.
+    pairs = jnp.zeros((0, 2), float)
+    groups = Groups(center=pairs, radius=jnp.zeros(0, float), opening=pairs, present=jnp.zeros(0, bool))
+    leg = jnp.zeros(number, jnp.int32)
+    memory = Memory(leg, people.route[:, 0], entered=present)
+    return pedestrians, groups, memory
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
     """Send people from gate to gate: they vanish at their last one, and enter when they are due."""
     plan: Plan = scenario.behavior.data
-    people, memory, table = state.pedestrians, state.memory, plan.walkers
+    people = state.pedestrians
+    memory = state.memory
+    table = plan.walkers
     time = state.tick.astype(float) * scenario.time_step
 
     # Who has crossed a gate goes to the next one, or vanishes.
-    has_gate = memory.gate >= 0
-    crossed = people.present & has_gate & passed(plan.gates[jnp.maximum(memory.gate, 0)], people.position)
+    walks = people.present & (memory.gate >= 0)
+    ends = _ends(plan, memory.gate)  # (N, 2, 2) m
+    crossed = walks & passed(ends, people.position)
 
     # A route is a list of gates; -1 fills it, and stands for the end of it.
     leg = memory.leg + crossed.astype(jnp.int32)
     legs = table.route.shape[1]
-    index = jnp.arange(leg.shape[0], dtype=jnp.int32)
-    next_gate = jnp.where(leg < legs, table.route[index, jnp.minimum(leg, legs - 1)], -1)
+    index = _indices(leg.shape[0])
+    next_gate = table.route[index, jnp.minimum(leg, legs - 1)]
+    next_gate = jnp.where(leg < legs, next_gate, -1)
     gate = jnp.where(crossed, next_gate, memory.gate)
-    people = replace(people, present=people.present & ~(crossed & (gate < 0)))
+    vanishes = crossed & (gate < 0)
+    people = replace(people, present=people.present & ~vanishes)
 
     # The choice comes after the next gate, so that it sees who waits where at this moment.
     if plan.choice:
@@ -288,26 +341,32 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
         entered = entered | enters
 
     # People walk straight to their gate, once they have reacted.
-    to_gate = aim_at(plan.gates[jnp.maximum(gate, 0)], people.position) - people.position
+    ends = _ends(plan, gate)
+    to_gate = aim_at(ends, people.position) - people.position
     walks = (gate >= 0) & (time >= table.reaction_time) & people.present
     speed = jnp.where(walks, people.preferred_speed, 0.0)
-    velocity = jnp.stack(unit(to_gate[:, 0], to_gate[:, 1]), -1) * speed[:, None]
+    direction = jnp.stack(_unit_of(to_gate), -1)
+    velocity = direction * speed[:, None]
     people = replace(people, desired_velocity=velocity)
     return replace(state, pedestrians=people, memory=Memory(leg, gate, entered))
 
 
 def passed(gate: Float[Array, "N 2 2"], position: Float[Array, "N 2"]) -> Bool[Array, "N"]:
     """(N,) whether people are behind the line of their gate (N, 2, 2) m, by its width and ``MARGIN`` to both sides."""
-    along, across, wide = _in_frame_of(gate, position)
-    return (across > 0.0) & (across < DEPTH) & (along > -MARGIN) & (along < wide + MARGIN)
+    along, behind, width = _in_frame_of(gate, position)
+    is_behind = (behind > 0.0) & (behind < DEPTH)
+    return is_behind & (along > -MARGIN) & (along < width + MARGIN)
 
 
 def aim_at(gate: Float[Array, "N 2 2"], position: Float[Array, "N 2"]) -> Float[Array, "N 2"]:
     """(N, 2) m: the nearest point of each gate (N, 2, 2) m, ``AHEAD`` behind its line and ``MARGIN`` from its ends."""
-    along, _, wide = _in_frame_of(gate, position)
-    margin = jnp.minimum(MARGIN, 0.5 * wide)
-    along = jnp.clip(along, margin, wide - margin)
-    ux, uy = unit(gate[:, 1, 0] - gate[:, 0, 0], gate[:, 1, 1] - gate[:, 0, 1])
+    along, _, width = _in_frame_of(gate, position)
+    margin = jnp.minimum(MARGIN, 0.5 * width)
+    along = jnp.clip(along, margin, width - margin)
+
+    side_x = gate[:, 1, 0] - gate[:, 0, 0]
+    side_y = gate[:, 1, 1] - gate[:, 0, 1]
+    ux, uy = unit(side_x, side_y)
     x = gate[:, 0, 0] + along * ux - AHEAD * uy
     y = gate[:, 0, 1] + along * uy + AHEAD * ux
     return jnp.stack([x, y], -1)
@@ -320,73 +379,112 @@ def choose_exit(plan: Plan, people: Pedestrians, gate: Int[Array, "N"], tick: In
     people on their way to an exit choose.
     """
     # Each person against each gate, as N times G rows of one function.
-    number, gates = gate.shape[0], plan.gates.shape[0]
-    index = jnp.arange(number, dtype=jnp.int32)
-    all_gates = jnp.broadcast_to(plan.gates[None], (number, gates, 2, 2)).reshape(-1, 2, 2)
-    aim = aim_at(all_gates, jnp.repeat(people.position, gates, axis=0)).reshape(number, gates, 2)  # (N, G, 2)
+    number = gate.shape[0]
+    gates = plan.gates.shape[0]
+    index = _indices(number)
+    all_gates = jnp.broadcast_to(plan.gates[None], (number, gates, 2, 2))
+    position = jnp.repeat(people.position, gates, axis=0)  # (N G, 2)
+    aim = aim_at(all_gates.reshape(-1, 2, 2), position)
+    aim = aim.reshape(number, gates, 2)  # (N, G, 2)
     gap = aim - people.position[:, None]
     distance = length(gap[..., 0], gap[..., 1])  # (N, G)
 
     # A queue is the people on their way to a gate; those who are nearer to it go first.
-    chosen = (gate[:, None] == jnp.arange(gates, dtype=jnp.int32)[None]) & people.present[:, None]
-    queue = jnp.sort(jnp.where(chosen, distance, jnp.inf), axis=0)  # (N, G)
+    is_to_gate = gate[:, None] == _indices(gates)[None]  # (N, G)
+    chosen = is_to_gate & people.present[:, None]
+    queue = jnp.where(chosen, distance, jnp.inf)
+    queue = jnp.sort(queue, axis=0)  # (N, G)
     ahead = jax.vmap(lambda row, own: jnp.searchsorted(row, own), in_axes=1, out_axes=1)(queue, distance)
 
     # The time to be out is that of the walk or of the queue.
     side = plan.gates[:, 1] - plan.gates[:, 0]
     width = length(side[:, 0], side[:, 1])  # (G,)
-    time = distance / jnp.maximum(people.preferred_speed, 1e-3)[:, None]  # (N, G) s
-    time = jnp.maximum(time, ahead.astype(float) / (EXIT_FLOW * jnp.maximum(width, 1e-3))[None])
+    walk_time = distance / jnp.maximum(people.preferred_speed, 1e-3)[:, None]  # (N, G) s
+    people_ahead = ahead.astype(float)
+    rate = EXIT_FLOW * jnp.maximum(width, 1e-3)  # (G,) people/s
+    time = jnp.maximum(walk_time, people_ahead / rate[None])
     time = jnp.where(plan.is_exit[None], time, jnp.inf)
 
     # Hysteresis and turns: if all looked at once, all would go to the empty exit, and back.
     best = jnp.argmin(time, axis=1).astype(jnp.int32)
     current = time[index, jnp.maximum(gate, 0)]  # (N,) s
-    looks = (index % TURNS == tick % TURNS) & (gate >= 0) & plan.is_exit[jnp.maximum(gate, 0)]
-    return jnp.where(looks & (time[index, best] < PATIENCE * current), best, gate)
+    has_turn = index % TURNS == tick % TURNS
+    to_exit = plan.is_exit[jnp.maximum(gate, 0)]
+    looks = has_turn & (gate >= 0) & to_exit
+    gains = time[index, best] < PATIENCE * current
+    return jnp.where(looks & gains, best, gate)
+
+
+def _indices(number: int) -> Int[Array, "N"]:
+    return jnp.arange(number, dtype=jnp.int32)
+
+
+def _ends(plan: Plan, gate: Int[Array, "N"]) -> Float[Array, "N 2 2"]:
+    """The ends [m] of the gate of each person; of any gate where there is none."""
+    return plan.gates[jnp.maximum(gate, 0)]
+
+
+def _unit_of(vector: Float[Array, "N 2"]) -> tuple[Array, Array]:
+    """The components (N,) of unit vectors along vectors."""
+    return unit(vector[:, 0], vector[:, 1])
 
 
 def _in_frame_of(gate: Array, position: Array) -> tuple[Array, Array, Array]:
     """(N,) along each gate from its left end, and behind its line; and its width [m]."""
-    side, gap = gate[:, 1] - gate[:, 0], position - gate[:, 0]
-    ux, uy = unit(side[:, 0], side[:, 1])
-    along, behind = gap[:, 0] * ux + gap[:, 1] * uy, gap[:, 1] * ux - gap[:, 0] * uy
-    return along, behind, length(side[:, 0], side[:, 1])
+    left = gate[:, 0]
+    side = gate[:, 1] - left
+    gap = position - left
+    ux, uy = _unit_of(side)
+    along = gap[:, 0] * ux + gap[:, 1] * uy
+    behind = gap[:, 1] * ux - gap[:, 0] * uy
+    width = length(side[:, 0], side[:, 1])
+    return along, behind, width
 
 
 def _heading(plan: Plan) -> Array:
     """(N, 2) along the velocity at the start; of standing people, towards the first gate."""
     people = plan.walkers
-    first_gate, along_x = people.route[:, 0], jnp.asarray([[1.0, 0.0]], float)
-    to_gate = aim_at(plan.gates[jnp.maximum(first_gate, 0)], people.start) - people.start
+    first_gate = people.route[:, 0]
+    along_x = jnp.asarray([[1.0, 0.0]], float)
+    ends = _ends(plan, first_gate)
+    to_gate = aim_at(ends, people.start) - people.start
     moving = (people.velocity != 0.0).any(-1)[:, None]
     of_standing = jnp.where(first_gate[:, None] >= 0, to_gate, along_x)
-    direction = jnp.where(moving, people.velocity, of_standing)
-    x, y = unit(direction[:, 0], direction[:, 1])
-    return jnp.where(((x == 0.0) & (y == 0.0))[:, None], along_x, jnp.stack([x, y], -1))
+    x, y = _unit_of(jnp.where(moving, people.velocity, of_standing))
+    is_zero = (x == 0.0) & (y == 0.0)
+    heading = jnp.stack([x, y], -1)
+    return jnp.where(is_zero[:, None], along_x, heading)
 
 
 def _enters(table: Walkers, people: Pedestrians, entered: Array, time: Array) -> Array:
     """(N,) whether people enter now: they are due, nobody is there and nobody before them waits for the place."""
     due = ~entered & (table.entry_time <= time)
-    gap_x = table.start[:, None, 0] - people.position[None, :, 0]
-    gap_y = table.start[:, None, 1] - people.position[None, :, 1]
-    taken = people.present[None] & (gap_x * gap_x + gap_y * gap_y < ROOM * ROOM)
-    gap_x = table.start[:, None, 0] - table.start[None, :, 0]
-    gap_y = table.start[:, None, 1] - table.start[None, :, 1]
-    own = jnp.arange(due.shape[0], dtype=jnp.int32)
-    before = due[None] & (own[None] < own[:, None]) & (gap_x * gap_x + gap_y * gap_y < ROOM * ROOM)
-    return due & ~(taken | before).any(1)
+    taken = people.present[None] & _within_room(table.start, people.position)
+
+    # Of people who wait for one place, the one with the lowest index enters.
+    own = _indices(due.shape[0])
+    earlier = due[None] & (own[None] < own[:, None])
+    before = earlier & _within_room(table.start, table.start)
+    waits = (taken | before).any(1)
+    return due & ~waits
+
+
+def _within_room(place: Array, others: Array) -> Array:
+    """(N, M) whether the others (M, 2) m are within ``ROOM`` of each place (N, 2) m."""
+    gap_x = place[:, None, 0] - others[None, :, 0]
+    gap_y = place[:, None, 1] - others[None, :, 1]
+    return gap_x * gap_x + gap_y * gap_y < ROOM * ROOM
 
 
 def _leaders(companions: Array) -> Array:
     """(N,) the lowest index of each chain of companions, -1 alone."""
     number = companions.shape[0]
-    own = jnp.arange(number, dtype=jnp.int32)
+    own = _indices(number)
     lowest = jnp.where((companions >= 0).any(1), own, number)
 
     def spread_lowest(_, lowest):
-        near = jnp.where(companions >= 0, lowest[jnp.maximum(companions, 0)], number).min(1)
+        of_companions = lowest[jnp.maximum(companions, 0)]  # (N, 2)
+        near = jnp.where(companions >= 0, of_companions, number).min(1)
         return jnp.minimum(lowest, near)
 
     lowest = jax.lax.fori_loop(0, number, spread_lowest, lowest)

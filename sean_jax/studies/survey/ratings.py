@@ -6,6 +6,7 @@ Source: P. Bachiller-Burgos et al., "Towards Data-Driven Metrics for Social Robo
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -128,7 +129,8 @@ def run(options: SurveyRatingsConfig, console: Console) -> Path:
     if not found:
         least = report.MIN_PARTICIPANTS
         raise InputError(f"ratings: {options.ratings} rates too little; give {least} raters and {least} trajectories.")
-    title, (head, cells) = "Correlations of ratings with metrics", report.correlation_table(found)
+    title = "Correlations of ratings with metrics"
+    head, cells = report.correlation_table(found)
     report.print_table(console, title, head, cells)
     note = (
         f"{report.counted(found)} Correlations are Spearman's over ratings. The variance of Fisher's z is that of a "
@@ -137,9 +139,16 @@ def run(options: SurveyRatingsConfig, console: Console) -> Path:
     )
     console.print(Text(note, "dim"), soft_wrap=True)
     numbers = {"raters": "participant", "trajectories": "trajectory", "trajectories without their variants": "trial"}
-    facts = {"ratings": len(rows), **{word: len({row[key] for row in rows}) for word, key in numbers.items()}}
-    parts = (pages.section(title, pages.table(head, cells)), pages.section("How to read it", pages.note(note)))
-    page = pages.page("Ratings and metrics", "sean_jax · ratings", [*parts, pages.section("Data", pages.facts(facts))])
+    facts = {"ratings": len(rows)}
+    for word, key in numbers.items():
+        facts[word] = len({row[key] for row in rows})
+
+    sections = [
+        pages.section(title, pages.table(head, cells)),
+        pages.section("How to read it", pages.note(note)),
+        pages.section("Data", pages.facts(facts)),
+    ]
+    page = pages.page("Ratings and metrics", "sean_jax · ratings", sections)
     with writing.atomic_folder(options.out) as folder:
         writing.write(folder / "correlations.csv", export.to_csv([each._asdict() for each in found]))
         writing.write(folder / "trajectories.csv", export.to_csv(by_trajectory(rows)))
@@ -166,7 +175,8 @@ def rated(trajectories: Path, ratings: Path, console: Console) -> list[dict[str,
         for place, value in answers.answers.items():
             number = answers.indices[int(place)]
             trial = variants.get(number, str(number))
-            row = {"participant": path.stem, "trajectory": number, "trial": trial, "ratings": {RATING: value}}
+            ratings_by_name = {RATING: value}
+            row = {"participant": path.stem, "trajectory": number, "trial": trial, "ratings": ratings_by_name}
             rows.append(row)
     if not rows:
         raise InputError(f"ratings: {ratings} has no file *.json with answers; give the folder with a file per rater.")
@@ -200,18 +210,25 @@ def by_trajectory(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     for row in rows:
         values.setdefault(row["trajectory"], []).append(row["ratings"][RATING])
         first.setdefault(row["trajectory"], row)
-    return [
-        {"trajectory": number, "variant": first[number]["trial"], "ratings": len(some), "mean_rating": np.mean(some)}
-        | first[number]["metrics"]
-        for number, some in sorted(values.items())
-    ]
+    table = []
+    for number, ratings in sorted(values.items()):
+        row = first[number]
+        summary = {
+            "trajectory": number,
+            "variant": row["trial"],
+            "ratings": len(ratings),
+            "mean_rating": np.mean(ratings),
+        }
+        table.append(summary | row["metrics"])
+    return table
 
 
 def _numbered(folder: Path) -> dict[int, Path]:
     paths: dict[int, Path] = {}
     for path in sorted(folder.rglob("*.json")):
         if path.stem.isdecimal():
-            if (other := paths.setdefault(int(path.stem), path)) != path:
+            other = paths.setdefault(int(path.stem), path)
+            if other != path:
                 raise files.file_error(path, f"has the number of {other}; keep one of them")
     if not paths:
         text = f"trajectories: {folder} has no file such as 000000001.json; give the folder of unlabeled trajectories."
@@ -225,9 +242,14 @@ def _variants(folder: Path) -> dict[int, str]:
     if not path.is_file():
         return {}
     groups = files.check_json(path, files.read_json(path), Variants).root
-    stems = {name.partition(".")[0]: variant for variant, names in groups.items() for name in names}
-    numbers = {parse_digits(stem): f"variant {variant}" for stem, variant in stems.items()}
-    return {number: variant for number, variant in numbers.items() if number is not None}
+    variants = {}
+    for variant, names in groups.items():
+        for name in names:
+            stem, _, _ = name.partition(".")
+            number = parse_digits(stem)
+            if number is not None:
+                variants[number] = f"variant {variant}"
+    return variants
 
 
 # ------------------------------------------------------------------ a trajectory
@@ -243,11 +265,15 @@ def read(path: Path) -> RatedEpisode:
         FileError: it cannot be read, or a value is wrong.
     """
     recorded = files.check_json(path, files.read_json(path), Recorded, _times, _people, _boxes)
-    first, last = recorded.sequence[0], recorded.sequence[-1]
-    radius = 1.2 if last.goal.pos_threshold is None else last.goal.pos_threshold  # SEAN's
-    goal: Any = np.array([last.goal.x, last.goal.y], np.float32)
+    last_goal = recorded.sequence[-1].goal
+    goal: Any = np.array([last_goal.x, last_goal.y], np.float32)
+    radius = last_goal.pos_threshold
+    if radius is None:
+        radius = 1.2  # SEAN's
     goal_radius: Any = np.float32(radius)
-    robot_radius: Any = np.float32(max(first.robot.shape.width, first.robot.shape.length) / 2)
+
+    shape = recorded.sequence[0].robot.shape
+    robot_radius: Any = np.float32(max(shape.width, shape.length) / 2)
     return RatedEpisode(_tracks(recorded), goal, goal_radius, robot_radius, _obstacles(recorded))
 
 
@@ -257,7 +283,8 @@ def _tracks(recorded: Recorded) -> Tracks:
 
     # The metrics need equal steps; recorded frames come at whatever rate a robot has.
     times = np.array([frame.timestamp for frame in frames]) - frames[0].timestamp
-    grid = np.arange(int((times[-1] + ROUNDING) / TIME_STEP) + 1) * TIME_STEP  # (T,) s
+    steps = int((times[-1] + ROUNDING) / TIME_STEP)
+    grid = np.arange(steps + 1) * TIME_STEP  # (T,) s
 
     poses: dict[float | None, list[tuple[float, Pose]]] = {None: []}  # of the robot, and then of people
     for time, frame in zip(times, frames, strict=True):
@@ -266,23 +293,30 @@ def _tracks(recorded: Recorded) -> Tracks:
             poses.setdefault(person.id, []).append((time, person))
 
     # After the end, and in columns without a person, nobody is present.
-    rows, columns, end = _power(len(grid), 64), _power(len(poses), 4), len(grid)
-    position, facing = np.zeros((rows, columns, 2), np.float32), np.zeros((rows, columns, 2), np.float32)
-    present = np.zeros((rows, columns), bool)
+    end = len(grid)
+    rows = _power(end, 64)
+    columns = _power(len(poses), 4)
+    position = np.zeros((rows, columns, 2), np.float32)
+    facing = np.zeros((rows, columns, 2), np.float32)
     facing[..., 0] = 1.0
+    present = np.zeros((rows, columns), bool)
     for column, poses_of_body in enumerate(poses.values()):
-        # Angles are unwrapped first: from 179 to -179 degrees is a turn of 2 and not of 358.
         known = np.array([time for time, _ in poses_of_body])
-        x, y, angle = np.array([(pose.x, pose.y, pose.angle) for _, pose in poses_of_body]).T
+        components = np.array([(pose.x, pose.y, pose.angle) for _, pose in poses_of_body])
+        x, y, angle = components.T
+        position[:end, column, 0] = np.interp(grid, known, x)
+        position[:end, column, 1] = np.interp(grid, known, y)
+
+        # Angles are unwrapped first: from 179 to -179 degrees is a turn of 2 and not of 358.
         angle = np.interp(grid, known, np.unwrap(angle))
-        position[:end, column] = np.stack([np.interp(grid, known, x), np.interp(grid, known, y)], -1)
-        facing[:end, column] = np.stack([np.cos(angle), np.sin(angle)], -1)
+        facing[:end, column, 0] = np.cos(angle)
+        facing[:end, column, 1] = np.sin(angle)
         present[:end, column] = _is_present(known, grid, always=column == 0)
 
     # Such recordings name no groups: -1 is "not known".
     nobody = np.full((rows, columns), -1, np.int32)
-    steps = np.arange(rows, dtype=np.int32)
-    return Tracks(position, facing, nobody, present, nobody, steps, TIME_STEP)  # pyright: ignore[reportArgumentType]
+    frame = np.arange(rows, dtype=np.int32)
+    return Tracks(position, facing, nobody, present, nobody, frame, TIME_STEP)  # pyright: ignore[reportArgumentType]
 
 
 def _is_present(known: np.ndarray, grid: np.ndarray, always: bool) -> np.ndarray:
@@ -291,17 +325,21 @@ def _is_present(known: np.ndarray, grid: np.ndarray, always: bool) -> np.ndarray
     Args:
         always: whether it is there in every gap.
     """
-    inside = (grid >= known[0] - ROUNDING) & (grid <= known[-1] + ROUNDING)
+    has_begun = grid >= known[0] - ROUNDING
+    inside = has_begun & (grid <= known[-1] + ROUNDING)
     if always:
         return inside
-    later = np.clip(np.searchsorted(known, grid - ROUNDING), 0, len(known) - 1)
-    gap = np.where(np.abs(known[later] - grid) <= ROUNDING, 0.0, known[later] - known[np.maximum(later - 1, 0)])
+    later = np.searchsorted(known, grid - ROUNDING)
+    later = np.clip(later, 0, len(known) - 1)
+    earlier = np.maximum(later - 1, 0)
+    is_known = np.abs(known[later] - grid) <= ROUNDING
+    gap = np.where(is_known, 0.0, known[later] - known[earlier])
     return inside & (gap <= LONGEST_GAP + ROUNDING)
 
 
 def _times(recorded: Recorded) -> Iterator[Problem]:
     times = [frame.timestamp for frame in recorded.sequence]
-    for k, (before, after) in enumerate(zip(times[:-1], times[1:], strict=True), 1):
+    for k, (before, after) in enumerate(itertools.pairwise(times), 1):
         if after <= before:
             yield ("sequence", k, "timestamp"), f"{after:g} s is not after {before:g} s; put the frames in order"
     span = times[-1] - times[0]
@@ -329,17 +367,25 @@ def _obstacles(recorded: Recorded) -> Obstacles:
     """Walls, without thickness, and objects; a round object is the square around it. Walls of no length are none."""
     rows = []
     for x1, y1, x2, y2 in recorded.walls:
-        if (size := np.hypot(x2 - x1, y2 - y1)) > 0:
-            rows.append(((x1 + x2) / 2, (y1 + y2) / 2, size / 2, 0.0, np.arctan2(y2 - y1, x2 - x1)))
+        dx = x2 - x1
+        dy = y2 - y1
+        size = np.hypot(dx, dy)
+        if size > 0:
+            rows.append(((x1 + x2) / 2, (y1 + y2) / 2, size / 2, 0.0, np.arctan2(dy, dx)))
     for body in recorded.sequence[0].objects:
-        rows.append((body.x, body.y, body.shape.length / 2, body.shape.width / 2, body.angle))
-    table = np.array(rows, np.float32).reshape(-1, 5)
-    obstacles: Any = Obstacles(table[:, :2], table[:, 2:4], table[:, 4], np.ones(len(table), np.float32))  # pyright: ignore[reportArgumentType]
+        shape = body.shape
+        rows.append((body.x, body.y, shape.length / 2, shape.width / 2, body.angle))
+
+    table: Any = np.array(rows, np.float32).reshape(-1, 5)  # (W, 5)
+    height: Any = np.ones(len(table), np.float32)
+    obstacles: Any = Obstacles(table[:, :2], table[:, 2:4], table[:, 4], height)
     return pad(obstacles, {("Obstacles", "W"): _power(len(table), 16)})
 
 
 def _power(number: int, least: int) -> int:
-    return max(least, 1 << (number - 1).bit_length()) if number else least
+    if not number:
+        return least
+    return max(least, 1 << (number - 1).bit_length())
 
 
 def measure(episode: RatedEpisode) -> dict[str, float]:
@@ -348,8 +394,9 @@ def measure(episode: RatedEpisode) -> dict[str, float]:
     The shortest path is the straight line from start to goal, and people have the radius ``recordings.BODY``.
     """
     values = {name: float(value) for name, value in _measure(episode).items()}
-    reached = values["reached_goal"] == 1.0
-    return {name: value for name, value in values.items() if reached or not MEASURED[name].completed_only}
+    if values["reached_goal"] == 1.0:
+        return values
+    return {name: value for name, value in values.items() if not MEASURED[name].completed_only}
 
 
 @jax.jit
@@ -360,6 +407,7 @@ def _measure(episode: RatedEpisode) -> dict[str, Array]:
     def always(value: Array) -> Array:
         return jnp.broadcast_to(value, (recorded.shape[0], *jnp.shape(value)))
 
+    # A recording says nothing about the task: each snapshot gets goal, way and obstacles of the file.
     gap = episode.goal - snapshots.start[0]
     snapshots = replace(
         snapshots,
@@ -374,10 +422,20 @@ def _measure(episode: RatedEpisode) -> dict[str, Array]:
     first = jax.tree.map(lambda leaf: leaf[0], snapshots)
 
     def update(carry: tuple, row: tuple) -> tuple[tuple, None]:
-        (before, values), (after, there) = carry, row
-        new = {name: metric.update(values[name], before, after) for name, metric in MEASURED.items()}
-        return (after, jax.tree.map(lambda new, old: jnp.where(there, new, old), new, values)), None
+        # After the end of the trajectory the values stay as they are.
+        before, values = carry
+        after, is_recorded = row
+        updated = {name: metric.update(values[name], before, after) for name, metric in MEASURED.items()}
+        values = jax.tree.map(lambda new, old: jnp.where(is_recorded, new, old), updated, values)
+        return (after, values), None
 
     begin = first, {name: metric.init(first) for name, metric in MEASURED.items()}
-    (_, values), _ = jax.lax.scan(update, begin, jax.tree.map(lambda leaf: leaf[1:], (snapshots, recorded)))
-    return {name: jnp.ravel(metric.compute(values[name]))[0] for name, metric in MEASURED.items()}
+    rest = jax.tree.map(lambda leaf: leaf[1:], (snapshots, recorded))
+    (_, values), _ = jax.lax.scan(update, begin, rest)
+
+    # Of metrics of several numbers, the first one counts.
+    metrics = {}
+    for name, metric in MEASURED.items():
+        value = metric.compute(values[name])
+        metrics[name] = jnp.ravel(value)[0]
+    return metrics

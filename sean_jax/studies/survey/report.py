@@ -83,9 +83,17 @@ def run(answers: Answers, options: SurveyReportConfig, console: Console) -> Path
     rows = rated(answers)
     if not any(row["ratings"] for row in rows):
         raise InputError(f"survey: {options.folder} has no ratings yet; wait for the first participants.")
-    found, levels, choices = correlations(rows), means(rows), preferences(answers)
-    tables = [("Means of ratings", *_means(levels))] * bool(levels) + [("Choices", *_choices(choices))] * bool(choices)
-    tables += [("Correlations of ratings with metrics", *correlation_table(found))] * bool(found)
+    levels = means(rows)
+    choices = preferences(answers)
+    found = correlations(rows)
+
+    tables = []
+    if levels:
+        tables.append(("Means of ratings", *_means(levels)))
+    if choices:
+        tables.append(("Choices", *_choices(choices)))
+    if found:
+        tables.append(("Correlations of ratings with metrics", *correlation_table(found)))
     for title, head, cells in tables:
         print_table(console, title, head, cells)
     note = summary(found)
@@ -93,7 +101,8 @@ def run(answers: Answers, options: SurveyReportConfig, console: Console) -> Path
     sections = [pages.section(title, pages.table(head, cells)) for title, head, cells in tables]
     finished = sum(row["finished"] is not None for row in answers.participants())
     facts = {"participants": answers.study.participants, "finished": finished, "file": str(answers.file)}
-    sections += [pages.section("How to read it", pages.note(note)), pages.section("The study", pages.facts(facts))]
+    sections.append(pages.section("How to read it", pages.note(note)))
+    sections.append(pages.section("The study", pages.facts(facts)))
     writing.write(path, pages.page(answers.study.title, "sean_jax · a study", sections))
     return path
 
@@ -118,11 +127,13 @@ def rated(answers: Answers) -> list[dict[str, Any]]:
         if row["kind"] == "choose":
             values = {}
         metrics[place] = {"trial": row["trial"], "metrics": values}  # of several drives, the last one came to its end
-    return [
-        {"participant": place[0], "ratings": values, **metrics[place]}
-        for place, values in answered.items()
-        if place in metrics
-    ]
+
+    trials = []
+    for place, values in answered.items():
+        if place in metrics:
+            participant, _ = place
+            trials.append({"participant": participant, "ratings": values, **metrics[place]})
+    return trials
 
 
 def correlations(
@@ -146,7 +157,8 @@ def correlations(
     for rating, metric in itertools.product(ratings, metrics):
         with_both = [row for row in rows if rating in row["ratings"] and metric in row["metrics"]]
         test = _correlation(rating, metric, with_both, units) if with_both else None
-        tests += [test] if test is not None else []
+        if test is not None:
+            tests.append(test)
     corrected = holm([test.p for test in tests])
     tests = [test._replace(p=p) for test, p in zip(tests, corrected, strict=True)]
     return sorted(tests, key=lambda test: (test.p, -abs(test.value)))
@@ -161,7 +173,8 @@ def _correlation(
     measured = np.array([row["metrics"][metric] for row in rows])
 
     clusters = [np.unique([row[unit] for row in rows], return_inverse=True)[1] for unit in units]
-    if min(map(np.max, clusters)) + 1 < MIN_PARTICIPANTS or np.ptp(rated) == 0 or np.ptp(measured) == 0:
+    few = min(map(np.max, clusters)) + 1 < MIN_PARTICIPANTS
+    if few or np.ptp(rated) == 0 or np.ptp(measured) == 0:
         return None
 
     # Spearman's correlation, as steps of a Likert scale have an order and no distances.
@@ -170,51 +183,64 @@ def _correlation(
     # With two units, clusters of both are drawn, too: the variance that both have counts once.
     number = int(clusters[0].max()) + 1
     if len(clusters) == 2:
-        clusters.append(np.unique(clusters[0] * len(rows) + clusters[1], return_inverse=True)[1])
+        both = clusters[0] * len(rows) + clusters[1]
+        clusters.append(np.unique(both, return_inverse=True)[1])
     drawn = [_resampled(rated, measured, cluster) for cluster in clusters]
     if min(map(len, drawn)) < RESAMPLES / 2:
         return None
 
     # Fisher's z makes the distribution of a correlation normal, with a variance that it does not depend on.
     z = math.atanh(max(-LARGEST, min(value, LARGEST)))
-    variances = [float(np.var(np.arctanh(np.clip(values, -LARGEST, LARGEST)))) for values in drawn]
+    variances = []
+    for values in drawn:
+        transformed = np.arctanh(np.clip(values, -LARGEST, LARGEST))
+        variances.append(float(np.var(transformed)))
     if len(variances) == 1:
-        variance = variances[0]
+        (variance,) = variances
         low, high = interval(drawn[0])
     else:
-        variance = max(variances[0] + variances[1] - variances[2], *variances[:2])
+        first, second, common = variances
+        variance = max(first + second - common, first, second)
         half = NormalDist().inv_cdf(0.975) * math.sqrt(variance)
-        low, high = math.tanh(z - half), math.tanh(z + half)
+        low = math.tanh(z - half)
+        high = math.tanh(z + half)
 
     # The floor of the deviation avoids a division by zero where all resamples agree.
-    p = 2.0 * (1.0 - NormalDist().cdf(abs(z) / max(math.sqrt(variance), 1e-6)))
+    deviation = max(math.sqrt(variance), 1e-6)
+    p = 2.0 * (1.0 - NormalDist().cdf(abs(z) / deviation))
     return Correlation(rating, metric, value, float(low), float(high), len(rows), number, p)
 
 
 def _resampled(one: np.ndarray, other: np.ndarray, label: np.ndarray) -> np.ndarray:
     """(R,) correlations in which all pairs of a label (N,) are drawn together; those that are defined."""
-    drawn = spearman(one, other, resamples(int(label.max()) + 1, count=RESAMPLES)[:, label])
+    weights = resamples(int(label.max()) + 1, count=RESAMPLES)  # (R, labels)
+    drawn = spearman(one, other, weights[:, label])
     return drawn[np.isfinite(drawn)]
 
 
 def spearman(one: np.ndarray, other: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
     """(R,) Spearman's correlation of pairs (N,), each counted as often as its weight (R, N); NaN if one is constant."""
     weights = np.ones((1, len(one))) if weights is None else weights.astype(np.float64)
-    x, y = _ranks(one, weights), _ranks(other, weights)
+    x = _ranks(one, weights)  # (R, N)
+    y = _ranks(other, weights)
     total = weights.sum(1, keepdims=True)
     x = x - (weights * x).sum(1, keepdims=True) / total
     y = y - (weights * y).sum(1, keepdims=True) / total
     square = (weights * x * x).sum(1) * (weights * y * y).sum(1)
+    product = (weights * x * y).sum(1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(square > 1e-12, (weights * x * y).sum(1) / np.sqrt(square), np.nan)
+        return np.where(square > 1e-12, product / np.sqrt(square), np.nan)
 
 
 def _ranks(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """(R, N) ranks of values (N,), each counted as often as its weight; equal ones have the mean of their ranks."""
     _, group = np.unique(values, return_inverse=True)
     order = np.argsort(group, kind="stable")
-    sizes = np.add.reduceat(weights[:, order], np.searchsorted(group[order], np.arange(group.max() + 1)), axis=1)
-    return (np.cumsum(sizes, 1) - (sizes - 1.0) / 2.0)[:, group]
+    groups = np.arange(group.max() + 1)
+    begin = np.searchsorted(group[order], groups)
+    sizes = np.add.reduceat(weights[:, order], begin, axis=1)  # (R, groups)
+    rank = np.cumsum(sizes, 1) - (sizes - 1.0) / 2.0
+    return rank[:, group]
 
 
 def means(rows: Sequence[dict[str, Any]]) -> list[Mean]:
@@ -273,7 +299,9 @@ def counted(found: Sequence[Correlation]) -> str:
 def _figure(name: str) -> TableFigure:
     if name in EPISODE_FIGURES:
         return EPISODE_FIGURES[name]
-    return metric_figure(name, METRICS[name]) if name in METRICS else TableFigure(name.replace("_", " "), "", 3, "")
+    if name in METRICS:
+        return metric_figure(name, METRICS[name])
+    return TableFigure(name.replace("_", " "), "", 3, "")
 
 
 def correlation_table(found: Sequence[Correlation]) -> tuple[list[str], list[list[str | pages.Cell]]]:
@@ -285,24 +313,26 @@ def correlation_table(found: Sequence[Correlation]) -> tuple[list[str], list[lis
         ends = f"{each.low:+.2f} to {each.high:+.2f}"
         p = "< 0.001" if each.p < 0.001 else f"{each.p:.3f}"
         cells = [pages.Cell(text, kind=kind) for text in (f"{each.value:+.2f}", ends, p)]
-        rows.append([each.rating, _figure(each.metric).title, *cells, str(each.pairs), str(each.participants)])
+        title = _figure(each.metric).title
+        rows.append([each.rating, title, *cells, str(each.pairs), str(each.participants)])
     return head, rows
 
 
 def _means(found: Sequence[Mean]) -> tuple[list[str], list[list[str | pages.Cell]]]:
-    rows: list[list[str | pages.Cell]] = [
-        [each.rating, each.trial, f"{each.value:.2f}", f"{each.low:.2f} to {each.high:.2f}", str(each.participants)]
-        for each in found
-    ]
+    rows: list[list[str | pages.Cell]] = []
+    for mean in found:
+        ends = f"{mean.low:.2f} to {mean.high:.2f}"
+        rows.append([mean.rating, mean.trial, f"{mean.value:.2f}", ends, str(mean.participants)])
     return ["rating", "trial", "mean", "95 % interval", "participants"], rows
 
 
 def _choices(found: Sequence[Preference]) -> tuple[list[str], list[list[str | pages.Cell]]]:
-    rows: list[list[str | pages.Cell]] = [
-        [each.trial, f"{each.policies[0]} over {each.policies[1]}", f"{100 * each.value:.0f} %",
-         f"{100 * each.low:.0f} to {100 * each.high:.0f} %", str(each.participants)]
-        for each in found
-    ]  # fmt: skip
+    rows: list[list[str | pages.Cell]] = []
+    for preference in found:
+        choice = " over ".join(preference.policies)
+        share = f"{100 * preference.value:.0f} %"
+        ends = f"{100 * preference.low:.0f} to {100 * preference.high:.0f} %"
+        rows.append([preference.trial, choice, share, ends, str(preference.participants)])
     return ["trial", "choice", "share", "95 % interval", "participants"], rows
 
 
@@ -312,6 +342,11 @@ def print_table(console: Console, title: str, head: list[str], rows: list[list[s
     for k, name in enumerate(head):
         table.add_column(Text(name), justify="left" if k < 2 else "right")
     for row in rows:
-        cells = [(each.text, each.kind) if isinstance(each, pages.Cell) else (each, "") for each in row]
-        table.add_row(*(Text(text, "bold" if kind else "") for text, kind in cells))
+        cells = []
+        for cell in row:
+            if not isinstance(cell, pages.Cell):
+                cells.append(Text(cell))
+            else:
+                cells.append(Text(cell.text, "bold" if cell.kind else ""))
+        table.add_row(*cells)
     console.print(table)

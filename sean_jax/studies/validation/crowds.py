@@ -46,21 +46,27 @@ HERMES = 1.55, 0.18  # m/s, free speed of these people, mean and deviation
 DENSITIES = tuple(0.25 * k for k in range(2, 15))  # 1/m2
 FEW = 0.5, 1.0, 1.5, 2.0, 2.5  # 1/m2
 JUELICH: dict[str, dict[float, float]] = PUBLISHED["corridor"]
-DRAWS, WEIDMANN_DRAWS = 10, 5  # of people at each density
+DRAWS = 10  # of people at each density
+WEIDMANN_DRAWS = 5  # likewise
 SPREAD = 2.0  # times the measured range from the 10th to the 90th percentile, the most
-ROWS, ROWS_DENSITY = (2, 3), 1.5  # of people who start in straight rows; 1/m2
+ROWS = 2, 3  # of people who start in straight rows
+ROWS_DENSITY = 1.5  # 1/m2
 TOLERANCE = 0.15
 WIDE_TOLERANCE = 0.25  # of a formula that was fitted to many kinds of places
-PERIOD, WIDTH = 20.0, 1.8  # m
-FLOOR, AREA = (0.0, 0.0, PERIOD, WIDTH), (PERIOD / 2 - 2.0, 0.0, PERIOD / 2 + 2.0, WIDTH)
+PERIOD = 20.0  # m
+WIDTH = 1.8  # m
+FLOOR = 0.0, 0.0, PERIOD, WIDTH
+AREA = PERIOD / 2 - 2.0, 0.0, PERIOD / 2 + 2.0, WIDTH
 STEADY: dict[str, list[int]] = PUBLISHED["steady"]
 LOOP = 32.0  # m, of the single file
 FILE_WIDTH = 0.6  # m
 ENVELOPE: dict[float, list[float]] = PUBLISHED["single_file"]
 WAVES: dict[int, list[float]] = PUBLISHED["stop_and_go"]
 WAVE_LOOP = 25.71  # m, where they were measured
-WAVE_SECONDS, WAVE_COUNTED = 100.0, 60.0  # s
-WAVE_TOLERANCE, WAVE_SPEED_TOLERANCE = 0.3, 0.2  # share of the deviation; m/s of the speed of the wave; both ours
+WAVE_SECONDS = 100.0  # s
+WAVE_COUNTED = 60.0  # s, at the end
+WAVE_TOLERANCE = 0.3  # share of the deviation; ours
+WAVE_SPEED_TOLERANCE = 0.2  # m/s, of the speed of the wave; ours
 STEP = 4  # moments, over which speeds are measured as in recordings
 
 
@@ -72,12 +78,15 @@ def hermes_speeds(number: int, seed: int) -> np.ndarray:
 
 def weidmann(density: np.ndarray | float) -> np.ndarray:
     """The speed [m/s] at a density above 0 [1/m2] [W93]."""
-    return 1.34 * (1.0 - np.exp(-1.913 * (1.0 / np.asarray(density, float) - 1.0 / 5.4)))
+    area = 1.0 / np.asarray(density, float)  # m2 of each person
+    return 1.34 * (1.0 - np.exp(-1.913 * (area - 1.0 / 5.4)))
 
 
 def juelich_recordings(context: CheckContext, pattern: str) -> list[Path]:
     """The recordings of Juelich in the folder of recordings, measured by the same functions as the model."""
-    return [] if context.data is None else sorted((context.data / "juelich").glob(pattern))
+    if context.data is None:
+        return []
+    return sorted((context.data / "juelich").glob(pattern))
 
 
 def juelich(density: Sequence[float], what: str = "speed") -> np.ndarray:
@@ -106,7 +115,8 @@ def corridors(
     Args:
         speeds: preferred speeds [m/s] by (number, seed); None for the usual ones.
     """
-    scenes, captions = [], []
+    scenes = []
+    captions = []
     for seed, (density, draw) in enumerate(itertools.product(densities, range(draws))):
         number = round(density * PERIOD * WIDTH)
         preferred = None if speeds is None else speeds(number, seed)
@@ -128,11 +138,19 @@ def in_rows(rows: int, seconds: float, seed: int) -> Scene:
 def corridor_diagram(context: CheckContext) -> CheckResult:
     """Speeds in a corridor against measurements in Juelich: means, their spread, and a start in straight rows."""
     # The fundamental diagram: speed falls with density. Periodic, so that a density stays as it was set.
-    densities, seconds, draws = (FEW, 40.0, 3) if context.quick else (DENSITIES, 60.0, DRAWS)
+    densities: tuple[float, ...] = DENSITIES
+    seconds = 60.0
+    draws = DRAWS
+    row_draws = 3
+    if context.quick:
+        densities = FEW
+        seconds = 40.0
+        draws = 3
+        row_draws = 1
     scenes, captions = corridors(densities, draws, seconds, hermes_speeds)
 
     # People in straight rows may walk on as one block, without the reactions that slow a crowd down.
-    straight = [in_rows(rows, seconds, seed) for rows in ROWS for seed in range(1 if context.quick else 3)]
+    straight = [in_rows(rows, seconds, seed) for rows in ROWS for seed in range(row_draws)]
     values = in_corridor(context, scenes + straight, captions)  # (S, K, 2)
     random = values[: len(scenes)].reshape(len(densities), draws, -1, 2)  # (D, draws, K, 2)
     in_straight_rows = values[len(scenes) :].reshape(len(ROWS), -1, 2)  # (rows, K, 2)
@@ -143,7 +161,8 @@ def corridor_diagram(context: CheckContext) -> CheckResult:
     low, high = np.nanquantile(random[..., 1], [0.1, 0.9], axis=(1, 2))  # (D,)
     share = (high - low) / (juelich(densities, "percentile_90") - juelich(densities, "percentile_10"))
     by_rows = np.nanmean(in_straight_rows[..., 1], 1) / means.numbers[f"speed_{ROWS_DENSITY:g}"]
-    wide, slow = bool((share > SPREAD).any()), bool((np.abs(by_rows - 1.0) > TOLERANCE).any())
+    wide = bool((share > SPREAD).any())
+    slow = bool((np.abs(by_rows - 1.0) > TOLERANCE).any())
 
     measured = (
         f"{means.measured}; 10 to 90 % of speeds {listing(share)} times as wide as measured; from "
@@ -175,7 +194,8 @@ def _recorded(path: Path, steady: list[int]) -> tuple[float, float]:
     """Density [1/m2] and speed [m/s] of a recording between its steady frames."""
     tracks = read(path, "juelich")
     begin, end = np.searchsorted(np.asarray(tracks.frame), steady)
-    return area_means(tracks, (0.0, -4.0, 1.8, 4.0), (0.0, -2.0, 1.8, 0.0), slice(int(begin), int(end), 4))
+    moments = slice(int(begin), int(end), 4)
+    return area_means(tracks, (0.0, -4.0, 1.8, 4.0), (0.0, -2.0, 1.8, 0.0), moments)
 
 
 def weidmann_diagram(context: CheckContext) -> CheckResult:
@@ -183,8 +203,8 @@ def weidmann_diagram(context: CheckContext) -> CheckResult:
     values = in_corridor(context, *corridors(FEW, WEIDMANN_DRAWS, 60.0, None))
     dense = np.linspace(0.25, 3.5, 27)
     known = reference("Weidmann 1993", dense, weidmann(dense))
-    shape = len(FEW), WEIDMANN_DRAWS, -1, 2
-    comparison = compare(values.reshape(shape), FEW, weidmann(np.array(FEW)), WIDE_TOLERANCE, [known])
+    values = values.reshape(len(FEW), WEIDMANN_DRAWS, -1, 2)
+    comparison = compare(values, FEW, weidmann(np.array(FEW)), WIDE_TOLERANCE, [known])
     if comparison.passed:
         return comparison
     expected = f"people in Juelich, whose free speed is 1.55 m/s, have {juelich([2.5])[0]:.2f} m/s at 2.5 /m²"
@@ -204,14 +224,18 @@ def compare(
     off = np.abs(speed / expected - 1.0)
     off_draw = np.abs(by_draw[..., 1] / expected[:, None] - 1.0).max()
     falling = bool((np.diff(speed) < 0.0).all())
-    words = ", ".join(f"{mean:.2f} ± {half:.2f}" for mean, half in zip(speed, interval, strict=True))
+    falls = "" if falling else ", not falling"
+
+    words = []
+    for mean, half in zip(speed, interval, strict=True):
+        words.append(f"{mean:.2f} ± {half:.2f}")
     numbers = by_name("speed_", densities, speed)
     numbers |= by_name("interval_", densities, interval)
     numbers |= by_name("density_", densities, density)
     return result(
         bool((off <= tolerance).all()) and falling,
-        f"{words} m/s at {listing(densities, form='g')} /m² (off by {100 * off.max():.0f} % at most, one draw by "
-        f"{100 * off_draw:.0f} %{'' if falling else ', not falling'})",
+        f"{', '.join(words)} m/s at {listing(densities, form='g')} /m² (off by {100 * off.max():.0f} % at most, one "
+        f"draw by {100 * off_draw:.0f} %{falls})",
         f"within {100 * tolerance:.0f} % of {listing(expected)} m/s, falling",
         numbers=numbers,
         curves=(curve("model", densities, speed), *curves),
@@ -230,8 +254,10 @@ def in_file(number: int, length: float, seconds: float, seed: int = 0, jitter: f
     """
     gap = length / number
     moved = jitter * gap * np.random.default_rng([seed, 31]).uniform(-1.0, 1.0, number)
-    start = np.stack([(np.arange(number) + 0.5) * gap + moved, np.full(number, FILE_WIDTH / 2)], 1)
-    return guideline_scenes.periodic(length, FILE_WIDTH, walkers(start, route=(0,), seed=seed), seconds)
+    x = (np.arange(number) + 0.5) * gap + moved
+    y = np.full(number, FILE_WIDTH / 2)
+    people = walkers(np.stack([x, y], 1), route=(0,), seed=seed)
+    return guideline_scenes.periodic(length, FILE_WIDTH, people, seconds)
 
 
 def single_file_diagram(context: CheckContext) -> CheckResult:
@@ -239,13 +265,18 @@ def single_file_diagram(context: CheckContext) -> CheckResult:
     densities = tuple(ENVELOPE)
     low, mean, high = zip(*ENVELOPE.values(), strict=True)
     scenes = [in_file(round(density * LOOP), LOOP, 60.0) for density in densities]
+    recorded = context.simulate(scenes, [f"{density:g} people/m" for density in densities])
     means = []
-    for tracks in context.simulate(scenes, [f"{density:g} people/m" for density in densities]):
-        speed = np.asarray(steps_along(np.asarray(tracks.position)[..., 0], LOOP) / tracks.time_step, float)
+    for tracks in recorded:
+        step = steps_along(np.asarray(tracks.position)[..., 0], LOOP)  # (T - 1, N) m
+        speed = np.asarray(step / tracks.time_step, float)
         means.append(float(speed[len(speed) // 2 :].mean()))
 
     inside = bool((np.greater_equal(means, low) & np.less_equal(means, high)).all())
-    ranges = ", ".join(f"{least:.2f} to {most:.2f}" for least, most in zip(low, high, strict=True))
+    words = []
+    for least, most in zip(low, high, strict=True):
+        words.append(f"{least:.2f} to {most:.2f}")
+    ranges = ", ".join(words)
     return result(
         inside and bool((np.diff(means) < 0.0).all()),
         f"{listing(means)} m/s at {listing(densities, form='g')} /m",
@@ -262,13 +293,13 @@ def single_file_diagram(context: CheckContext) -> CheckResult:
 
 
 class FileMotion(NamedTuple):
-    """How people in a single file move; means over draws."""
+    """How people in a single file move, in one draw or on average."""
 
     speed: float  # m/s
     deviation: float  # m/s, of a person in time
     correlation: float  # of the wave
-    delay: float  # s, of the wave from one person to the next; NaN without a wave
-    wave: float  # m/s, speed of the wave
+    delay: float  # s, of the wave from one person to the next
+    wave: float  # m/s, speed of the wave; NaN without one
 
 
 def stop_and_go(context: CheckContext) -> CheckResult:
@@ -287,10 +318,11 @@ def stop_and_go(context: CheckContext) -> CheckResult:
         motions.setdefault(number, []).append(moved)
         curves.setdefault(number, curve(f"{number} people", *_ranked(speed)))
 
-    words, numbers, passed = [], {}, []
+    words = []
+    numbers = {}
+    passed = []
     for number, draws in motions.items():
-        # NaN in one draw without a wave makes the mean NaN, and a comparison with NaN is false: it fails.
-        mean = FileMotion(*np.mean(draws, axis=0).tolist())
+        mean, waves = _mean_motion(draws)
         known_speed, known_deviation, known_delay, known_wave = WAVES[number]
         as_wide = abs(mean.deviation / known_deviation - 1.0) <= WAVE_TOLERANCE
         as_fast = abs(mean.wave - known_wave) <= WAVE_SPEED_TOLERANCE  # not where there is no wave
@@ -300,11 +332,13 @@ def stop_and_go(context: CheckContext) -> CheckResult:
         numbers[number] = mean._asdict()
 
         wave_words = "no wave in all draws"
-        if np.isfinite(mean.delay):
+        if waves:
             wave_words = (
                 f"a wave of {mean.wave:.2f} m/s (recorded {known_wave:.2f}), {mean.delay:.1f} s from one to the next "
                 f"(recorded {known_delay:.1f})"
             )
+        if 0 < waves < len(draws):
+            wave_words += f", in {waves} of {len(draws)} draws"
 
         words.append(
             f"{number / WAVE_LOOP:.2f} /m: {mean.deviation:.3f} m/s (recorded {known_deviation:.3f}), mean "
@@ -327,9 +361,25 @@ def stop_and_go(context: CheckContext) -> CheckResult:
 def _file_motion(tracks: Tracks) -> tuple[np.ndarray, FileMotion]:
     """Speeds (S, N) m/s in the counted time of a single file, and their motion."""
     time_step = STEP * tracks.time_step
-    x = np.asarray(tracks.position)[-round(WAVE_COUNTED / tracks.time_step) :: STEP, :, 0]
+    moments = round(WAVE_COUNTED / tracks.time_step)
+    x = np.asarray(tracks.position)[-moments::STEP, :, 0]
     speed = np.asarray(steps_along(x, WAVE_LOOP) / time_step, float)
-    return speed, FileMotion(speed.mean(), deviation_in_time(speed), *wave(speed, WAVE_LOOP, time_step))
+    motion = FileMotion(speed.mean(), deviation_in_time(speed), *wave(speed, WAVE_LOOP, time_step))
+    return speed, motion
+
+
+def _mean_motion(draws: list[FileMotion]) -> tuple[FileMotion, int]:
+    """The mean over draws, and how many draws have a wave.
+
+    Only draws with a wave count in the means of the wave, which are NaN if there is none.
+    """
+    motions = np.array(draws, float)  # (draws, 5)
+    has_wave = np.isfinite(motions[:, -1])
+    mean = motions.mean(axis=0)
+    mean[2:] = np.nan
+    if has_wave.any():
+        mean[2:] = motions[has_wave, 2:].mean(axis=0)
+    return FileMotion(*mean.tolist()), int(has_wave.sum())
 
 
 def _ranked(speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -342,7 +392,8 @@ def _ranked(speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 LANE_DENSITIES = 0.5, 1.0, 1.5  # 1/m2
 LANE_ORDER = 0.9
-LANE_PERIOD, LANE_WIDTH = 10.0, 3.6  # m
+LANE_PERIOD = 10.0  # m
+LANE_WIDTH = 3.6  # m
 LANE_SECONDS = 120.0
 LANE_SHARE = 0.4  # of the time, at its end, that counts
 
@@ -352,7 +403,8 @@ def mixed_corridor(density: float, seed: int) -> Scene:
     number = round(density * LANE_PERIOD * LANE_WIDTH)
     start = spread((0.0, 0.3), (LANE_PERIOD, LANE_WIDTH - 0.3), number, seed)
     start = np.random.default_rng([seed, 23]).permutation(start)
-    speed, half = hermes_speeds(number, seed), number // 2
+    speed = hermes_speeds(number, seed)
+    half = number // 2
     along = walkers(start[:half], route=(0,), speed=speed[:half])
     against = walkers(start[half:], route=(1,), speed=speed[half:])
     return guideline_scenes.periodic(LANE_PERIOD, LANE_WIDTH, join(along, against), LANE_SECONDS)
@@ -364,17 +416,23 @@ def lanes(context: CheckContext) -> CheckResult:
     seeds = range(1 if context.quick else 5)
     cases = list(itertools.product(LANE_DENSITIES, seeds))
     scenes = [mixed_corridor(density, seed) for density, seed in cases]
-    recorded = context.simulate(scenes, ["" if seed else f"{density:g} people/m²" for density, seed in cases])
-    order = np.stack([_order(tracks) for tracks in recorded]).reshape(len(LANE_DENSITIES), len(seeds), -1)
+    captions = ["" if seed else f"{density:g} people/m²" for density, seed in cases]
+    recorded = context.simulate(scenes, captions)
+    order = np.stack([_order(tracks) for tracks in recorded])
+    order = order.reshape(len(LANE_DENSITIES), len(seeds), -1)  # (D, draws, T)
 
     # The begin is left out, in which people are still mixed; the time until then is shown.
-    begin = int((1.0 - LANE_SHARE) * order.shape[-1])
+    moments = order.shape[-1]
+    begin = int((1.0 - LANE_SHARE) * moments)
     last = order[..., begin:].mean((1, 2))  # (D,)
-    until = np.array([np.mean([time_until(series, LANE_ORDER) for series in draws]) for draws in order])
+    until = []
+    for draws in order:
+        times = [time_until(series, LANE_ORDER) for series in draws]
+        until.append(float(np.mean(times)))
 
     # Moments are 0.1 s apart; the plot has one in 2 s.
-    end = 0.1 * (order.shape[-1] - 1)
-    time = (0.1 * np.arange(order.shape[-1]))[::20]
+    end = 0.1 * (moments - 1)
+    time = (0.1 * np.arange(moments))[::20]
 
     curves = []
     for density, mean in zip(LANE_DENSITIES, order.mean(1), strict=True):
@@ -384,7 +442,8 @@ def lanes(context: CheckContext) -> CheckResult:
     # Recordings of real people do not decide: their order is over the middle 4 m, not over the whole corridor.
     for path in juelich_recordings(context, "bo-360-*.csv"):
         known = recorded_order(read(path, "juelich"))
-        curves.append(level(f"recording {path.stem.split('_')[0]}", (0.0, end), known))
+        run = path.stem.split("_")[0]
+        curves.append(level(f"recording {run}", (0.0, end), known))
 
     return result(
         bool((last >= LANE_ORDER).all()),
@@ -400,13 +459,16 @@ def lanes(context: CheckContext) -> CheckResult:
 def time_until(order: np.ndarray, wanted: float) -> float:
     """When the order (T,), 0.1 s apart, first is as wanted for 5 s on average [s]; inf if never."""
     total = np.concatenate([[0.0], np.cumsum(order)])
-    smooth = (total[50:] - total[:-50]) / 50
-    return 0.1 * float((smooth >= wanted).argmax()) if (smooth >= wanted).any() else float("inf")
+    reached = (total[50:] - total[:-50]) / 50 >= wanted
+    if not reached.any():
+        return float("inf")
+    return 0.1 * float(reached.argmax())
 
 
 def _order(tracks: Tracks) -> np.ndarray:
     """(T,) of everybody in the corridor."""
-    position, present = np.asarray(tracks.position), np.asarray(tracks.present)
+    position = np.asarray(tracks.position)
+    present = np.asarray(tracks.present)
     number = position.shape[1]
     direction = np.where(np.arange(number) < number // 2, 1.0, -1.0)
     return lane_order(position[..., 1], direction, present)
@@ -414,10 +476,13 @@ def _order(tracks: Tracks) -> np.ndarray:
 
 def recorded_order(tracks: Tracks) -> float:
     """The order in a recording of people who walk along y: in the middle 4 m, from 30 to 80 % of its time."""
-    position, present = np.asarray(tracks.position), np.asarray(tracks.present)
+    position = np.asarray(tracks.position)
+    present = np.asarray(tracks.present)
     people = np.arange(present.shape[1])
     first, last = first_and_last(present)
-    direction = np.sign(position[last, people, 1] - position[first, people, 1])
+    way = position[last, people, 1] - position[first, people, 1]
+    direction = np.sign(way)
+
     moments = slice(int(0.3 * len(present)), int(0.8 * len(present)))
     across = position[moments, :, 0]
     inside = (present & (np.abs(position[..., 1]) < 2.0))[moments]

@@ -39,7 +39,8 @@ TOLERANCE = 1e-3  # m, of bodies that touch
 ROBOT_SPEED = 1.0  # m/s
 MISS = 0.6  # m, within which person and robot would pass
 CLEARANCE = 0.83  # m [V17]
-STREAM, STREAM_DENSITY = (16.0, 5.0), 0.35  # m along and across, 1/m2
+STREAM = 16.0, 5.0  # m along and across
+STREAM_DENSITY = 0.35  # 1/m2
 NO_WALLS = np.zeros((0, 5))
 FAR = 1e4  # m
 
@@ -52,17 +53,22 @@ def two(angle: float, offset: float, speeds: tuple[float, float]) -> Scene:
     ways = np.array([[1.0, 0.0], [np.cos(angle), np.sin(angle)]])
     drift = speeds[0] * ways[0] - speeds[1] * ways[1]
     aside = np.array([drift[1], -drift[0]]) / np.hypot(*drift)
-    start = -BEFORE * np.array(speeds)[:, None] * ways + 0.5 * offset * np.array([aside, -aside])
+    before = -BEFORE * np.array(speeds)[:, None] * ways
+    start = before + 0.5 * offset * np.array([aside, -aside])  # (2, 2) m
 
     people = []
+    gates = []
     for k, (speed, way) in enumerate(zip(speeds, ways, strict=True)):
-        people.append(walkers(start[k : k + 1], route=(k,), speed=speed, velocity=tuple(speed * way)))
-    return Scene(NO_WALLS, join(*people), tuple(_far(way) for way in ways), 2.0 * BEFORE + 2.0)
+        velocity = tuple(speed * way)
+        people.append(walkers(start[k : k + 1], route=(k,), speed=speed, velocity=velocity))
+        gates.append(_far(way))
+    return Scene(NO_WALLS, join(*people), tuple(gates), 2.0 * BEFORE + 2.0)
 
 
 def _far(way: np.ndarray) -> Gate:
     """A gate so far away and so wide that people walk straight on to it."""
-    middle, left = FAR * way, FAR * np.array([-way[1], way[0]])
+    middle = FAR * way
+    left = FAR * np.array([-way[1], way[0]])
     return Gate(tuple(middle + left), tuple(middle - left))
 
 
@@ -78,7 +84,8 @@ def pairs(context: CheckContext, name: str, angles: Sequence[float], quick: Sequ
     cases = list(itertools.product(angles, OFFSETS, SPEEDS))
 
     # The film of an angle has an offset of 2 cm, because nobody meets others exactly head-on.
-    scenes, captions = [], []
+    scenes = []
+    captions = []
     for angle, offset, speeds in cases:
         scenes.append(two(np.deg2rad(angle), offset, speeds))
         shown = offset == OFFSETS[1] and speeds == SPEEDS[0]
@@ -86,26 +93,29 @@ def pairs(context: CheckContext, name: str, angles: Sequence[float], quick: Sequ
 
     # People who stand still do not overlap, either: the time that they lose is told besides.
     bodies = 2.0 * float(context.model.forces.walking.radius)
-    gaps, lost = [], []
-    for scene, tracks in zip(scenes, context.simulate(scenes, captions), strict=True):
+    recorded = context.simulate(scenes, captions)
+    gaps = []
+    delays = []
+    for scene, tracks in zip(scenes, recorded, strict=True):
         position = np.asarray(tracks.position)
         gaps.append(separation(position[:, 0], position[:, 1]) - bodies)
-        lost.append(_lost(scene, tracks))
-
-    gap = np.array(gaps)  # (C,) m
+        delays.append(_lost(scene, tracks))
 
     # The least gap of all cases decides, as bodies are solid at every angle.
+    gap = np.array(gaps)  # (C,) m
+    lost = max(delays)
     worst = int(gap.argmin())
     angle, offset, speeds = cases[worst]
     by_angle = gap.reshape(len(angles), -1).min(1)
 
     # A tolerance of 1 mm allows for bodies that touch; one angle alone is a point and not a curve.
+    overlapping = gap < -TOLERANCE
     return result(
         bool((gap >= -TOLERANCE).all()),
         f"least gap of bodies {100 * gap[worst]:.0f} cm (at {angle:g} degrees, {offset:g} m aside, {speeds[0]:g} and "
-        f"{speeds[1]:g} m/s); at most {max(lost):.1f} s lost",
+        f"{speeds[1]:g} m/s); at most {lost:.1f} s lost",
         "bodies never overlap",
-        numbers={"gap": float(gap.min()), "lost": max(lost), "overlapping": float((gap < -TOLERANCE).mean())},
+        numbers={"gap": float(gap.min()), "lost": lost, "overlapping": float(overlapping.mean())},
         curves=(
             curve("model", angles, by_angle, points=len(angles) == 1),
             level("bodies touch", (min(angles) - 5.0, max(angles) + 5.0), 0.0),
@@ -116,10 +126,13 @@ def pairs(context: CheckContext, name: str, angles: Sequence[float], quick: Sequ
 
 def _lost(scene: Scene, tracks: Tracks) -> float:
     """Delay [s] of the later of two people at the end."""
-    position, speed = np.asarray(tracks.position), np.asarray(scene.walkers.preferred_speed)
+    position = np.asarray(tracks.position)
+    speed = np.asarray(scene.walkers.preferred_speed)
     way = np.asarray(scene.walkers.velocity) / speed[:, None]
-    gone = ((position[-1] - position[0]) * way).sum(-1)
-    return float((tracks.time_step * (len(position) - 1) - gone / speed).max())
+
+    gone = ((position[-1] - position[0]) * way).sum(-1)  # (2,) m
+    time = tracks.time_step * (len(position) - 1)
+    return float((time - gone / speed).max())
 
 
 def passing_scenes(number: int) -> list[Scene]:
@@ -128,15 +141,17 @@ def passing_scenes(number: int) -> list[Scene]:
     Drawn: the speed of the person from N(1.34, 0.26) m/s, and the distance by which the two would miss each other.
     """
     random = np.random.default_rng([0, 29])
+    robot = (0.0, -BEFORE * ROBOT_SPEED), (0.0, ROBOT_SPEED)
+    ahead = _far(np.array([1.0, 0.0]))
     scenes = []
     for k in range(number):
         speed = float(np.clip(random.normal(1.34, 0.26), 0.5, 2.2))
         drift = np.array([speed, -ROBOT_SPEED])
         aside = np.array([-drift[1], drift[0]]) / np.hypot(*drift)
-        start = np.array([-BEFORE * speed, 0.0]) + random.uniform(-MISS, MISS) * aside
+        miss = random.uniform(-MISS, MISS)
+        start = np.array([-BEFORE * speed, 0.0]) + miss * aside
         person = walkers(start[None], route=(0,), speed=speed, velocity=(speed, 0.0))
-        robot = (0.0, -BEFORE * ROBOT_SPEED), (0.0, ROBOT_SPEED)
-        scenes.append(Scene(NO_WALLS, person, (_far(np.array([1.0, 0.0])),), 2.0 * BEFORE, robot=robot, seed=k))
+        scenes.append(Scene(NO_WALLS, person, (ahead,), 2.0 * BEFORE, robot=robot, seed=k))
     return scenes
 
 
@@ -147,21 +162,27 @@ def passing_a_robot(context: CheckContext, **limits: Any) -> CheckResult:
         **limits: of ``compare_clearance``.
     """
     scenes = passing_scenes(64 if context.quick else 256)
-    recorded = context.simulate(scenes, [f"encounter {k + 1}" for k in range(3)] + [""] * (len(scenes) - 3))
-    nearest = [_nearest(scene, tracks)[0] for scene, tracks in zip(scenes, recorded, strict=True)]
+    recorded = context.simulate(scenes, ["encounter 1", "encounter 2", "encounter 3"])
+    nearest = []
+    for scene, tracks in zip(scenes, recorded, strict=True):
+        nearest.append(_nearest(scene, tracks)[0])
     return compare_clearance(context, np.array(nearest), **limits)
 
 
 def stream_scenes(number: int) -> list[Scene]:
     """A robot that walks through a stream of people, across it."""
     length, width = STREAM
-    people, robot = round(STREAM_DENSITY * length * width), ((length / 2, -3.0), (0.0, ROBOT_SPEED))
+    people = round(STREAM_DENSITY * length * width)
+    robot = (length / 2, -3.0), (0.0, ROBOT_SPEED)
     ahead = np.array([1.0, 0.0])
+    gates = (_far(ahead),)
     scenes = []
     for k in range(number):
-        crowd = walkers(spread((0.0, 0.0), STREAM, people, k, apart=0.8), route=(0,), seed=k)
-        crowd = replace(crowd, velocity=np.asarray(crowd.preferred_speed)[:, None] * ahead)
-        scenes.append(Scene(NO_WALLS, crowd, (_far(ahead),), width + 6.0, length, robot=robot, seed=k))
+        start = spread((0.0, 0.0), STREAM, people, k, apart=0.8)
+        crowd = walkers(start, route=(0,), seed=k)
+        velocity = np.asarray(crowd.preferred_speed)[:, None] * ahead
+        crowd = replace(crowd, velocity=velocity)
+        scenes.append(Scene(NO_WALLS, crowd, gates, width + 6.0, length, robot=robot, seed=k))
     return scenes
 
 
@@ -177,9 +198,12 @@ def passing_in_a_stream(context: CheckContext, **limits: Any) -> CheckResult:
     recorded = context.simulate(scenes, ["a stream"])
     nearest = []
     for scene, tracks in zip(scenes, recorded, strict=True):
-        start, velocity = np.asarray(scene.walkers.start), np.asarray(scene.walkers.velocity)
-        straight = replace(tracks, position=start + _times(tracks)[:, None, None] * velocity)
-        nearest.append(_nearest(scene, tracks)[_nearest(scene, straight) < MISS])
+        start = np.asarray(scene.walkers.start)
+        velocity = np.asarray(scene.walkers.velocity)
+        way = _times(tracks)[:, None, None] * velocity  # (T, N, 2) m
+        straight = replace(tracks, position=start + way)
+        counts = _nearest(scene, straight) < MISS
+        nearest.append(_nearest(scene, tracks)[counts])
     return compare_clearance(context, np.concatenate(nearest), **limits)
 
 
@@ -192,9 +216,11 @@ def _nearest(scene: Scene, tracks: Tracks) -> np.ndarray:
 
     # People walk on beyond the period, past the images of the robot there.
     step = steps_along(position[..., 0], scene.period)
-    x = np.concatenate([position[:1, :, 0], position[:1, :, 0] + np.cumsum(step, 0)])
+    first_x = position[:1, :, 0]
+    x = np.concatenate([first_x, first_x + np.cumsum(step, 0)])
     position = np.stack([x, position[..., 1]], -1)
-    first, last = int(np.floor(x.min() / scene.period)) - 1, int(np.ceil(x.max() / scene.period))
+    first = int(np.floor(x.min() / scene.period)) - 1
+    last = int(np.ceil(x.max() / scene.period))
     distances = []
     for k in range(first, last + 1):
         image = robot + np.array([k * scene.period, 0.0])
@@ -218,13 +244,22 @@ def compare_clearance(
     """
     bodies = float(context.model.forces.walking.radius) + float(load("kuri").radius)
     touched = float((nearest < bodies).mean())
-    clearance, spread_out = float(nearest.mean()), float(nearest.std())
+    clearance = float(nearest.mean())
+    spread_out = float(nearest.std())
+
     least, most = deviation
-    wanted = f", with a deviation of {least:g} to {most:g} m" if np.isfinite(most) else ""
+    wanted = ""
+    if np.isfinite(most):
+        wanted = f", with a deviation of {least:g} to {most:g} m"
+
+    # The curve is the distribution of distances.
     ranked = np.sort(nearest)
     shares = (np.arange(len(ranked)) + 1.0) / len(ranked)
+
+    as_near = abs(clearance - CLEARANCE) <= within
+    as_wide = least <= spread_out <= most
     return result(
-        touched <= most_touched and abs(clearance - CLEARANCE) <= within and least <= spread_out <= most,
+        touched <= most_touched and as_near and as_wide,
         f"touched in {100 * touched:.1f} % of {len(nearest)}; nearest {clearance:.2f} ± {spread_out:.2f} m",
         f"touched in {100 * most_touched:.0f} % at most; nearest {CLEARANCE:g} ± {within:g} m on average{wanted}",
         numbers={"touched": touched, "clearance": clearance, "clearance_deviation": spread_out},
@@ -249,12 +284,15 @@ BETTER = 0.02  # share of the mean error of constant velocity with all habits
 
 def with_companions(scenario: Scenario, state: State) -> Pedestrians:
     """Constant velocity, at the mean of the desired velocities of oneself and one's companions."""
-    people, companions = state.pedestrians, scenario.behavior.companions
+    people = state.pedestrians
+    companions = scenario.behavior.companions
     assert companions is not None, "predicted people have companions, or -1"
     desired = people.desired_velocity
-    present = ((companions >= 0) & people.present[companions])[..., None].astype(desired.dtype)  # (N, 2, 1)
+    present = (companions >= 0) & people.present[companions]
+    present = present[..., None].astype(desired.dtype)  # (N, 2, 1)
     mean = (desired + (present * desired[companions]).sum(1)) / (1.0 + present.sum(1))
-    after = constant_velocity(scenario, replace(state, pedestrians=replace(people, desired_velocity=mean)))
+    people = replace(people, desired_velocity=mean)
+    after = constant_velocity(scenario, replace(state, pedestrians=people))
     return replace(after, desired_velocity=desired)
 
 
@@ -264,8 +302,10 @@ def habits_of_constant_velocity(forces: Forces, habits: dict[str, Any]) -> tuple
     It needs no ``settled``: it has no acceleration that the observed velocity could contain already.
     """
     cohesion = forces.get(Cohesion)
-    walks_with_companions = cohesion is not None and cohesion.alignment is not None
-    return with_companions if walks_with_companions else "constant_velocity", {"weights": habits["weights"]}
+    habits = {"weights": habits["weights"]}
+    if cohesion is not None and cohesion.alignment is not None:
+        return with_companions, habits
+    return "constant_velocity", habits
 
 
 def prediction(context: CheckContext) -> CheckResult:
@@ -279,15 +319,17 @@ def prediction(context: CheckContext) -> CheckResult:
     straight: dict[str, Scores] = {}
     plain: dict[str, Scores] = {}
     for path in context.progress(context.eth_ucy()):
+        scene = path.stem
         windows = read_windows(path)
         mover, habits = model.move, {}
         straight_mover, straight_habits = "constant_velocity", {}
         if mover is move:
-            mover, habits = fitted_without(path.stem, model.forces)
+            mover, habits = fitted_without(scene, model.forces)
             straight_mover, straight_habits = habits_of_constant_velocity(mover, habits)
-        scores[path.stem] = evaluate(mover, windows, **habits)
-        plain[path.stem] = evaluate("constant_velocity", windows)
-        straight[path.stem] = evaluate(straight_mover, windows, **straight_habits)
+
+        scores[scene] = evaluate(mover, windows, **habits)
+        plain[scene] = evaluate("constant_velocity", windows)
+        straight[scene] = evaluate(straight_mover, windows, **straight_habits)
     return compare_scores(scores, straight, plain)
 
 
@@ -299,9 +341,11 @@ def compare_scores(scores: dict[str, Scores], straight: dict[str, Scores], plain
         plain: likewise, of constant velocity without habits.
     """
     # Constant velocity is hard to beat in these recordings (Schoeller et al., RA-L 2020): it is the measure.
-    worse, words = [], []
+    worse = []
+    words = []
     for scene, errors in scores.items():
-        known, usual = straight[scene], plain[scene]
+        known = straight[scene]
+        usual = plain[scene]
 
         # With the same habits, so that slowing down alone, which any model may do, is not an advantage.
         if errors.ade > (1.0 - BETTER) * known.ade or errors.fde > known.fde:
@@ -319,7 +363,8 @@ def compare_scores(scores: dict[str, Scores], straight: dict[str, Scores], plain
     numbers = {}
     for suffix, table in (("", scores), ("_constant_velocity", straight)):
         for scene, errors in table.items():
-            numbers |= {f"{name}{suffix}_{scene}": float(getattr(errors, name)) for name in Scores._fields[:3]}
+            for name in Scores._fields[:3]:
+                numbers[f"{name}{suffix}_{scene}"] = float(getattr(errors, name))
 
     # Without habits is shown for the reader, and does not decide.
     number, scenes = numbered(scores)

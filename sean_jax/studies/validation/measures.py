@@ -34,7 +34,9 @@ Bounds = tuple[float, float, float, float]  # m: x_min, y_min, x_max, y_max
 
 def namespace(array: Any) -> ModuleType:
     """``jax.numpy`` for an array of JAX, ``numpy`` for any other."""
-    return jnp if isinstance(array, jax.Array) else np
+    if isinstance(array, jax.Array):
+        return jnp
+    return np
 
 
 def crossing_times(tracks: Tracks, gate: Gate) -> Float[np.ndarray, "N"]:
@@ -42,25 +44,31 @@ def crossing_times(tracks: Tracks, gate: Gate) -> Float[np.ndarray, "N"]:
 
     People who leave there cross at that time.
     """
-    position, present = np.asarray(tracks.position, float), np.asarray(tracks.present)
-    left, right = np.asarray(gate.left, float), np.asarray(gate.right, float)
-    side = right - left
-    wide = np.hypot(*side)
-    ux, uy = side / wide
+    position = np.asarray(tracks.position, float)
+    present = np.asarray(tracks.present)
+    left = np.asarray(gate.left, float)
+    side = np.asarray(gate.right, float) - left
+    width = np.hypot(*side)
+    ux, uy = side / width
     gap = position - left
     behind = gap[..., 1] * ux - gap[..., 0] * uy  # (T, N) m
     along = gap[..., 0] * ux + gap[..., 1] * uy
 
     # People cross between a moment on this side and one behind the line, at most 0.5 m beside its ends.
-    crosses = (behind[:-1] <= 0.0) & (behind[1:] > 0.0) & present[:-1]
-    crosses &= (along[1:] > -0.5) & (along[1:] < wide + 0.5)
-    moment = np.where(crosses.any(0), crosses.argmax(0), -1)
+    passes_line = (behind[:-1] <= 0.0) & (behind[1:] > 0.0)
+    within = (along[1:] > -0.5) & (along[1:] < width + 0.5)
+    crosses = passes_line & within & present[:-1]  # (T - 1, N)
+    has_crossed = crosses.any(0)
+    moment = np.where(has_crossed, crosses.argmax(0), -1)
 
+    # The share of the step until the line.
     people = np.arange(position.shape[1])
+    next_moment = np.minimum(moment + 1, len(behind) - 1)
     before = behind[moment, people]
-    step = behind[np.minimum(moment + 1, len(behind) - 1), people] - before
-    share = np.where(moment >= 0, -before / np.where(step > 0.0, step, 1.0), 0.0)
-    return np.where(moment >= 0, (moment + share) * tracks.time_step, np.inf)
+    step = behind[next_moment, people] - before
+    share = -before / np.where(step > 0.0, step, 1.0)
+    share = np.where(has_crossed, share, 0.0)
+    return np.where(has_crossed, (moment + share) * tracks.time_step, np.inf)
 
 
 def first_gate_times(scenes: Sequence[Scene], recorded: Sequence[Tracks]) -> list[np.ndarray]:
@@ -77,7 +85,8 @@ def vanishing_times(tracks: Tracks) -> Float[np.ndarray, "N"]:
     """(N,) s when each person vanishes for good; inf if present at the end, or never."""
     present = np.asarray(tracks.present)
     _, last = first_and_last(present)
-    return np.where(present.any(0) & ~present[-1], (last + 1) * tracks.time_step, np.inf)
+    vanishes = present.any(0) & ~present[-1]
+    return np.where(vanishes, (last + 1) * tracks.time_step, np.inf)
 
 
 def flow(times: Float[Any, "*batch N"], shortest: float = 1e-9) -> Float[Any, "*batch"]:
@@ -89,11 +98,15 @@ def flow(times: Float[Any, "*batch N"], shortest: float = 1e-9) -> Float[Any, "*
     crosses = np.isfinite(times)
     crossings = crosses.sum(-1)
     ordered = np.sort(times, axis=-1)
-    ordered = np.where(np.isfinite(ordered), ordered, 0.0)
+    ordered = np.where(np.isfinite(ordered), ordered, 0.0)  # (..., N) s
 
-    first, last = (np.round(share * np.maximum(crossings - 1, 0)).astype(int) for share in (0.2, 0.8))
-    begin, end = (np.take_along_axis(ordered, rank[..., None], -1)[..., 0] for rank in (first, last))
-    return np.where(crossings < 3, np.nan, (last - first) / np.maximum(end - begin, shortest))[()]
+    intervals = np.maximum(crossings - 1, 0)
+    first = np.round(0.2 * intervals).astype(int)
+    last = np.round(0.8 * intervals).astype(int)
+    begin = np.take_along_axis(ordered, first[..., None], -1)[..., 0]
+    end = np.take_along_axis(ordered, last[..., None], -1)[..., 0]
+    rate = (last - first) / np.maximum(end - begin, shortest)
+    return np.where(crossings < 3, np.nan, rate)[()]
 
 
 def pedpy() -> Any:
@@ -120,12 +133,15 @@ def trajectory_data(tracks: Tracks, period: float | None = None) -> Any:
     """
     import pandas
 
-    position, present = np.asarray(tracks.position, float), np.asarray(tracks.present)
+    position = np.asarray(tracks.position, float)
+    present = np.asarray(tracks.present)
     person = np.asarray(tracks.person).astype(int)
     if period is not None:
-        around = np.abs(np.diff(position[..., 0], axis=0)) > period / 2
-        rounds = np.concatenate([np.zeros((1, person.shape[1]), int), np.cumsum(around, 0)])
-        person = person + rounds * (int(person.max(initial=0)) + 1)
+        goes_around = np.abs(np.diff(position[..., 0], axis=0)) > period / 2  # (T - 1, N)
+        no_round = np.zeros((1, person.shape[1]), int)
+        rounds = np.concatenate([no_round, np.cumsum(goes_around, 0)])
+        number = int(person.max(initial=0)) + 1
+        person = person + rounds * number
 
     moment, column = np.nonzero(present)
     x, y = position[moment, column].T
@@ -135,9 +151,10 @@ def trajectory_data(tracks: Tracks, period: float | None = None) -> Any:
 
 def speeds(tracks: Tracks) -> np.ndarray:
     """(T - 1, N) m/s between moments, NaN where a person is absent at one of both; not of a periodic scene."""
-    position, present = np.asarray(tracks.position), np.asarray(tracks.present)
-    step = np.linalg.norm(np.diff(position, axis=0), axis=-1) / tracks.time_step
-    return np.where(present[1:] & present[:-1], step, np.nan)
+    position = np.asarray(tracks.position)
+    present = np.asarray(tracks.present)
+    speed = np.linalg.norm(np.diff(position, axis=0), axis=-1) / tracks.time_step
+    return np.where(present[1:] & present[:-1], speed, np.nan)
 
 
 def steps_along(x: Float[Any, "T N"], period: Float[Any, ""] | float) -> Float[Any, "S N"]:
@@ -156,7 +173,10 @@ def area_means(
         Skipped: PedPy is not installed.
     """
     density, speed = area_series(tracks, floor, area, rows, period).T
-    return float(density.mean()), float(np.nanmean(speed)) if np.isfinite(speed).any() else float("nan")
+    mean_speed = float("nan")
+    if np.isfinite(speed).any():
+        mean_speed = float(np.nanmean(speed))
+    return float(density.mean()), mean_speed
 
 
 def area_series(
@@ -170,14 +190,22 @@ def area_series(
     Raises:
         Skipped: PedPy is not installed.
     """
-    package, everybody = pedpy(), trajectory_data(tracks, period)
-    frame_rate, table = everybody.frame_rate, everybody.data
+    package = pedpy()
+    everybody = trajectory_data(tracks, period)
+    frame_rate = everybody.frame_rate
+    table = everybody.data
+
+    # Speeds are of everybody, density is of people on the floor at the moments alone.
     x0, y0, x1, y1 = floor
-    on_floor = (table.x > x0) & (table.x < x1) & (table.y > y0) & (table.y < y1)
+    within_x = (table.x > x0) & (table.x < x1)
+    within_y = (table.y > y0) & (table.y < y1)
+    on_floor = within_x & within_y
     frames = range(*rows.indices(len(tracks.present)))
     counted = table[on_floor & table.frame.isin(frames)]
     if not len(counted):
-        return np.stack([np.zeros(len(frames)), np.full(len(frames), np.nan)], 1)
+        no_density = np.zeros(len(frames))
+        no_speed = np.full(len(frames), np.nan)
+        return np.stack([no_density, no_speed], 1)
 
     individual_speed = package.compute_individual_speed(
         traj_data=everybody,
@@ -185,9 +213,8 @@ def area_series(
         speed_calculation=package.SpeedCalculation.BORDER_SINGLE_SIDED,
     )
     measured = package.TrajectoryData(counted[["id", "frame", "x", "y"]], frame_rate=frame_rate)
-    cells = package.compute_individual_voronoi_polygons(
-        traj_data=measured, walkable_area=package.WalkableArea(_corners(floor))
-    )
+    walkable_area = package.WalkableArea(_corners(floor))
+    cells = package.compute_individual_voronoi_polygons(traj_data=measured, walkable_area=walkable_area)
     measurement_area = package.MeasurementArea(_corners(area))
     density, intersection = package.compute_voronoi_density(
         individual_voronoi_data=cells, measurement_area=measurement_area
@@ -201,7 +228,8 @@ def area_series(
 
     density = density.reset_index().set_index("frame").density.reindex(frames, fill_value=0.0)
     speed = speed.reset_index().set_index("frame").speed.reindex(frames)
-    return np.stack([density, speed.where(density > 0.0)], 1).astype(float)
+    speed = speed.where(density > 0.0)
+    return np.stack([density, speed], 1).astype(float)
 
 
 def densities(
@@ -211,11 +239,13 @@ def densities(
     upper: tuple[float, float],
 ) -> Float[Any, "*T"]:
     """(...) 1/m2: people in a rectangle from ``lower`` to ``upper`` [m], over its area; arrays of numpy or JAX."""
-    x, y = position[..., 0], position[..., 1]
+    x = position[..., 0]
+    y = position[..., 1]
     within_x = (x >= lower[0]) & (x <= upper[0])
     within_y = (y >= lower[1]) & (y <= upper[1])
+    number = (within_x & within_y & present).sum(-1)
     area = (upper[0] - lower[0]) * (upper[1] - lower[1])
-    return (within_x & within_y & present).sum(-1).astype(float) / area
+    return number.astype(float) / area
 
 
 def peak(values: Float[Any, "*batch T"], span: int) -> Float[Any, "*batch"]:
@@ -223,7 +253,8 @@ def peak(values: Float[Any, "*batch T"], span: int) -> Float[Any, "*batch"]:
     span = min(span, np.shape(values)[-1])
     total = np.cumsum(values, axis=-1, dtype=float)
     total = np.concatenate([np.zeros_like(total[..., :1]), total], axis=-1)
-    return (total[..., span:] - total[..., :-span]).max(-1) / span
+    sums = total[..., span:] - total[..., :-span]
+    return sums.max(-1) / span
 
 
 def lane_order(
@@ -245,14 +276,19 @@ def lane_order(
         S. Nowak & A. Schadschneider, Phys. Rev. E 85, 066128 (2012), who count in the lanes of a lattice.
     """
     xp = namespace(across)
-    across, direction = xp.asarray(across, float), xp.asarray(direction, float)
-    in_lane = (xp.abs(across[..., :, None] - across[..., None, :]) < width) & present[..., None, :]
+    across = xp.asarray(across, float)
+    direction = xp.asarray(direction, float)
+    gap = xp.abs(across[..., :, None] - across[..., None, :])
+    in_lane = (gap < width) & present[..., None, :]
     in_lane = in_lane.astype(float)  # (..., N, N)
 
     surplus = (in_lane @ direction[..., None])[..., 0]
-    order = (surplus / xp.maximum(in_lane.sum(-1), 1.0)) ** 2
+    number = xp.maximum(in_lane.sum(-1), 1.0)
+    order = (surplus / number) ** 2
+
     people = present.sum(-1).astype(float)
-    mean = xp.where(present, order, 0.0).sum(-1) / xp.maximum(people, 1.0)
+    total = xp.where(present, order, 0.0).sum(-1)
+    mean = total / xp.maximum(people, 1.0)
     return xp.where(people > 0.0, mean, xp.nan)
 
 
@@ -262,9 +298,14 @@ def separation(a: Float[Any, "T *shape 2"], b: Float[Any, "T *shape 2"]) -> Floa
     gap = xp.asarray(a, float) - xp.asarray(b, float)
     step = xp.diff(gap, axis=0)
     squared = (step * step).sum(-1)
-    share = xp.clip(-(gap[:-1] * step).sum(-1) / xp.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
+
+    # The share of each step at which the line from moment to moment is nearest.
+    towards = -(gap[:-1] * step).sum(-1)
+    share = towards / xp.where(squared > 0.0, squared, 1.0)
+    share = xp.clip(share, 0.0, 1.0)
     nearest = gap[:-1] + share[..., None] * step
-    return xp.sqrt((nearest * nearest).sum(-1)).min(0)
+    distance = xp.sqrt((nearest * nearest).sum(-1))
+    return distance.min(0)
 
 
 def body_gaps(
@@ -286,14 +327,18 @@ def body_gaps(
     dy = position[..., :, None, 1] - position[..., None, :, 1]
 
     shape = walking.shape(facing[..., 0], facing[..., 1])
-    pair_shape = None if shape is None else tuple(part[..., :, None] + part[..., None, :] for part in shape)
-    gap = xp.sqrt(dx * dx + dy * dy) - xp.asarray(walking.radii(dx, dy, pair_shape))
+    pair_shape = None
+    if shape is not None:
+        pair_shape = tuple(part[..., :, None] + part[..., None, :] for part in shape)
+    distance = xp.sqrt(dx * dx + dy * dy)
+    gap = distance - xp.asarray(walking.radii(dx, dy, pair_shape))
 
     people = present.shape[-1]
     others = xp.broadcast_to(~xp.eye(people, dtype=bool), (*present.shape, people))
     counts = present[..., :, None] & present[..., None, :] & others
     if group is not None:
-        counts = counts & (group[..., :, None] == group[..., None, :]) & (group[..., :, None] >= 0)
+        own = group[..., :, None]
+        counts = counts & (own == group[..., None, :]) & (own >= 0)
     return xp.where(counts, gap, xp.inf)
 
 
@@ -308,10 +353,13 @@ def overlap(
 
     The arguments are those of ``body_gaps``.
     """
-    position, facing = np.asarray(position, np.float32), np.asarray(facing, np.float32)
+    position = np.asarray(position, np.float32)
+    facing = np.asarray(facing, np.float32)
     nearest = np.inf
     for some in spans_of_pairs(present):
-        members = None if group is None else group[some]
+        members = None
+        if group is not None:
+            members = group[some]
         gap = body_gaps(position[some], facing[some], present[some], walking, members)
         nearest = min(nearest, float(gap.min(initial=np.inf)))
     return max(0.0, -nearest)
@@ -331,7 +379,8 @@ def deviation_in_time(speed: Float[Any, "*batch T N"]) -> Float[Any, "*batch"]:
     NaN does not count; arrays of numpy or JAX.
     """
     xp = namespace(speed)
-    return xp.sqrt(xp.nanmean(xp.nanvar(speed, axis=-2), axis=-1))
+    variance = xp.nanvar(speed, axis=-2)  # (..., N)
+    return xp.sqrt(xp.nanmean(variance, axis=-1))
 
 
 def accelerations(velocity: Float[Any, "*batch T N 2"], time_step: float) -> Float[Any, "*batch R N"]:
@@ -367,13 +416,18 @@ def wave(speed: Float[np.ndarray, "T N"], period: float, time_step: float) -> Wa
     behind = np.roll(ahead, BEHIND, axis=1)
     correlations = []
     for delay in range(round(LATEST / time_step) + 1):
-        now, later = ahead[: len(ahead) - delay], behind[delay:]
-        correlations.append((now * later).sum() / np.sqrt((now**2).sum() * (later**2).sum()))
+        now = ahead[: len(ahead) - delay]
+        later = behind[delay:]
+        scale = np.sqrt((now**2).sum() * (later**2).sum())
+        correlations.append((now * later).sum() / scale)
 
+    # Speeds that change everywhere at once are no wave.
     best = int(np.argmax(correlations))
     delay = best * time_step
-    gap = BEHIND * period / speed.shape[1]
-    wave_speed = float(speed.mean()) - gap / delay if best else np.nan
+    wave_speed = np.nan
+    if best:
+        gap = BEHIND * period / speed.shape[1]
+        wave_speed = float(speed.mean()) - gap / delay
     return Wave(float(correlations[best]), delay / BEHIND, wave_speed)
 
 
@@ -394,31 +448,38 @@ def smoothed(
     position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"]
 ) -> tuple[Float[np.ndarray, "T N 2"], Bool[np.ndarray, "T N"]]:
     """Positions [m] of parabolas through five moments each, and who is there for all five: two fewer at both ends."""
-    position, present = np.asarray(position, float), np.asarray(present)
-    span, reach = len(PARABOLA), len(PARABOLA) // 2
-    smooth, whole = np.zeros_like(position), np.zeros_like(present)
+    position = np.asarray(position, float)
+    present = np.asarray(present)
+    smooth = np.zeros_like(position)
+    whole = np.zeros_like(present)
+    span = len(PARABOLA)
+    reach = span // 2
     if len(position) >= span:
-        smooth[reach:-reach] = np.einsum("tncw,w->tnc", sliding_window_view(position, span, axis=0), PARABOLA)
+        windows = sliding_window_view(position, span, axis=0)  # (T - 4, N, 2, 5)
+        smooth[reach:-reach] = np.einsum("tncw,w->tnc", windows, PARABOLA)
         whole[reach:-reach] = sliding_window_view(present, span, axis=0).all(-1)
     return smooth, whole
 
 
 def motion(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"], time_step: float) -> Motion:
     """Accelerations, jerk and turn rates, as differences of positions (T, N, 2) m, ``time_step`` s apart."""
-    position = np.where(np.asarray(present)[..., None], np.asarray(position, float), np.nan)
+    position = _where_present(position, present)
     velocity = np.diff(position, axis=0) / time_step
     acceleration = np.diff(velocity, axis=0) / time_step
-    jerk = np.linalg.norm(np.diff(acceleration, axis=0) / time_step, axis=-1)
+    jerk = np.diff(acceleration, axis=0) / time_step
+    jerk = np.linalg.norm(jerk, axis=-1)
 
     # The way back of a half turn is as long, so angles are from -pi to pi.
     speed = np.linalg.norm(velocity, axis=-1)
     walks = (speed[1:] > WALKS) & (speed[:-1] > WALKS)
-    angle = np.diff(np.arctan2(velocity[..., 1], velocity[..., 0]), axis=0)
+    heading = np.arctan2(velocity[..., 1], velocity[..., 0])
+    angle = np.diff(heading, axis=0)
     angle = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
     turn_rate = np.where(walks, angle / time_step, np.nan)
 
-    values = accelerations(velocity, time_step), jerk, turn_rate
-    return Motion(*(magnitudes[np.isfinite(magnitudes)] for magnitudes in values))
+    magnitudes = accelerations(velocity, time_step), jerk, turn_rate
+    finite = [values[np.isfinite(values)] for values in magnitudes]
+    return Motion(*finite)
 
 
 def sideways(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"]) -> Float[np.ndarray, "N"]:
@@ -426,26 +487,39 @@ def sideways(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T 
 
     NaN of those whose line is shorter than ``LONG``.
     """
-    position, present = np.asarray(position, float), np.asarray(present)
+    position = np.asarray(position, float)
+    present = np.asarray(present)
     people = np.arange(present.shape[1])
     first, last = first_and_last(present)
     start = position[first, people]
-    line = position[last, people] - start
+    line = position[last, people] - start  # (N, 2) m
     length = np.linalg.norm(line, axis=-1)
 
-    gap = position - start
-    distance = np.abs(gap[..., 0] * line[:, 1] - gap[..., 1] * line[:, 0]) / np.where(length > 0.0, length, 1.0)
-    return np.where(length >= LONG, np.where(present, distance, 0.0).max(0), np.nan)
+    # The distance from a line is the cross product over its length.
+    gap = position - start  # (T, N, 2) m
+    cross = gap[..., 0] * line[:, 1] - gap[..., 1] * line[:, 0]
+    distance = np.abs(cross) / np.where(length > 0.0, length, 1.0)
+    largest = np.where(present, distance, 0.0).max(0)
+    return np.where(length >= LONG, largest, np.nan)
 
 
 def slowest(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"]) -> Float[np.ndarray, "N"]:
     """(N,) the slowest step of each person over the first one; NaN of those with fewer than 5 steps."""
-    place = np.where(np.asarray(present)[..., None], np.asarray(position, float), np.nan)
-    step = np.linalg.norm(np.diff(place, axis=0), axis=-1)
+    place = _where_present(position, present)
+    step = np.linalg.norm(np.diff(place, axis=0), axis=-1)  # (T - 1, N) m
     walks = np.isfinite(step)
     first = step[walks.argmax(0), np.arange(step.shape[1])]
     least = step.min(0, where=walks, initial=np.inf)
-    return np.where((walks.sum(0) >= 5) & (first > 0.0), least / np.where(first > 0.0, first, 1.0), np.nan)
+
+    enough = walks.sum(0) >= 5
+    moves = first > 0.0
+    share = least / np.where(moves, first, 1.0)
+    return np.where(enough & moves, share, np.nan)
+
+
+def _where_present(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"]) -> np.ndarray:
+    """(T, N, 2) m, NaN of people who are absent."""
+    return np.where(np.asarray(present)[..., None], np.asarray(position, float), np.nan)
 
 
 class Company(NamedTuple):
@@ -467,15 +541,21 @@ def company(
         position: (T, N, 2) m, ``time_step`` s apart.
         pairs: (P, 2) columns of two who walk together.
     """
-    place = np.where(np.asarray(present)[..., None], np.asarray(position, float), np.nan)
-    first, second = place[:, np.asarray(pairs, int)[:, 0]], place[:, np.asarray(pairs, int)[:, 1]]
+    place = _where_present(position, present)
+    pairs = np.asarray(pairs, int)
+    first = place[:, pairs[:, 0]]  # (T, P, 2) m
+    second = place[:, pairs[:, 1]]
     step = np.diff(0.5 * (first + second), axis=0)  # (T - 1, P, 2)
     gap = (second - first)[:-1]
 
-    spacing, length = np.linalg.norm(gap, axis=-1), np.linalg.norm(step, axis=-1)
-    cosine = np.abs((gap * step).sum(-1)) / np.where(spacing * length > 0.0, spacing * length, 1.0)
+    # The cosine of the angle between the way of a pair and the line from one to the other.
+    spacing = np.linalg.norm(gap, axis=-1)
+    length = np.linalg.norm(step, axis=-1)
+    scale = spacing * length
+    cosine = np.abs((gap * step).sum(-1)) / np.where(scale > 0.0, scale, 1.0)
     walks = np.isfinite(cosine) & (length > WALKS * time_step)
-    return Company(spacing[walks], cosine[walks] < 0.5)
+    beside = cosine < 0.5
+    return Company(spacing[walks], beside[walks])
 
 
 def _corners(bounds: Bounds) -> list[tuple[float, float]]:

@@ -16,20 +16,33 @@ DATA = "Fitted: the loss of sean calibrate has the same measurement, so a fit sh
 
 def line(row: CheckRow, checks: Sequence[Check], models: Sequence[Model]) -> str:
     """A row for the terminal; a single model is not named."""
-    wide = max(len(check.name) for check in checks)
+    check_width = max(len(check.name) for check in checks)
     (data,) = (check.data for check in checks if check.name == row.check)
-    wide_model = max(len(model.name) for model in models)
-    model = f"{row.model:<{wide_model}}  " if len(models) > 1 else ""
-    return f"{row.check:<{wide}}  {model}{row.verdict:<7}  {data:<8}  {row.reason or row.measured}"
+    model = ""
+    if len(models) > 1:
+        model_width = max(len(model.name) for model in models)
+        model = f"{row.model:<{model_width}}  "
+    return f"{row.check:<{check_width}}  {model}{row.verdict:<7}  {data:<8}  {_why(row)}"
+
+
+def _why(row: CheckRow) -> str:
+    """The reason of a row that fails or is skipped, and the measurement of one that passes."""
+    return row.reason or row.measured
 
 
 def gate_lines(rows: Sequence[CheckRow], model: Model) -> list[str]:
     """A heading and a line for each gate of which something was checked, for the terminal; or nothing."""
-    table = [(title, verdict, why) for title, _, verdict, why in gates(rows, model.name) if verdict != SKIPPED or why]
+    table = []
+    for title, _, verdict, why in gates(rows, model.name):
+        if verdict != SKIPPED or why:
+            table.append((title, verdict, why))
     if not table:
         return []
-    wide = max(len(title) for title, *_ in table)
-    return [f"gates of {model.name}:"] + [f"  {title:<{wide}}  {verdict:<7}  {why}" for title, verdict, why in table]
+    width = max(len(title) for title, *_ in table)
+    lines = [f"gates of {model.name}:"]
+    for title, verdict, why in table:
+        lines.append(f"  {title:<{width}}  {verdict:<7}  {why}")
+    return lines
 
 
 def gates(rows: Sequence[CheckRow], model: str) -> list[tuple[str, str, str, str]]:
@@ -42,7 +55,8 @@ def gates(rows: Sequence[CheckRow], model: str) -> list[tuple[str, str, str, str
     for gate in GATES:
         names = [name for pattern in gate.checks for name in matches(pattern)]
         rows_done = [by_check[name] for name in names if name in by_check]
-        table.append((gate.title, gate.promise, *_gate_verdict(names, rows_done)))
+        verdict, why = _gate_verdict(names, rows_done)
+        table.append((gate.title, gate.promise, verdict, why))
     return table
 
 
@@ -50,12 +64,15 @@ def _gate_verdict(names: list[str], rows: list[CheckRow]) -> tuple[str, str]:
     """The verdict of checks of which some have rows, and why."""
     failing = [row for row in rows if row.verdict == FAILS]
     passing = [row for row in rows if row.verdict == PASSES]
-    several = len(names) > 1
+    if failing and len(names) == 1:
+        return FAILS, failing[0].reason
     if failing:
-        which = f"{len(failing)} of {len(names)}: {', '.join(row.check for row in failing)}"
-        return FAILS, which if several else failing[0].reason
+        which = ", ".join(row.check for row in failing)
+        return FAILS, f"{len(failing)} of {len(names)}: {which}"
+    if passing and len(names) == 1:
+        return PASSES, passing[0].measured
     if names and len(passing) == len(names):
-        return PASSES, f"all {len(names)}" if several else passing[0].measured
+        return PASSES, f"all {len(names)}"
     if passing:
         return "partly", f"{len(passing)} of {len(names)} done, all pass"
     return SKIPPED, "; ".join(dict.fromkeys(row.reason for row in rows))
@@ -65,12 +82,17 @@ def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Ch
     """The table as docs/validation.md has it, and one of the gates of the first model."""
     by_name = {(row.check, row.model): row for row in rows}
     names = [model.name for model in models]
-    lines = ["| check | data | " + " | ".join(names) + " |", "|---" * (2 + len(names)) + "|"]
+    lines = [f"| check | data | {' | '.join(names)} |", "|---" * (2 + len(names)) + "|"]
     for check in checks:
-        cells = [by_name[check.name, name] for name in names]
-        texts = [f"{row.verdict}: {row.reason or row.measured}".replace("|", "/") for row in cells]
-        lines.append(f"| {check.name} | {check.data} | " + " | ".join(texts) + " |")
-    lines += ["", f"| gate | promise | {names[0]} |", "|---|---|---|"]
+        texts = []
+        for name in names:
+            row = by_name[check.name, name]
+            texts.append(f"{row.verdict}: {_why(row)}".replace("|", "/"))
+        lines.append(f"| {check.name} | {check.data} | {' | '.join(texts)} |")
+
+    lines.append("")
+    lines.append(f"| gate | promise | {names[0]} |")
+    lines.append("|---|---|---|")
     for title, promise, verdict, why in gates(rows, names[0]):
         lines.append(f"| {title} | {promise} | {verdict}{why and ': ' + why} |")
     return "\n".join(lines) + "\n"
@@ -79,19 +101,26 @@ def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Ch
 def html(options: ValidateConfig, checks: Sequence[Check], models: Sequence[Model], rows: Sequence[CheckRow]) -> str:
     """The report."""
     by_name = {(row.check, row.model): row for row in rows}
-    verdicts, details = [], []
+    names = [model.name for model in models]
+
+    # A line of verdicts and a section for each check.
+    verdicts = []
+    details = []
     for check in checks:
-        check_rows = [by_name[check.name, model.name] for model in models]
-        cells = [_verdict(row.verdict, row.reason or row.measured) for row in check_rows]
+        check_rows = [by_name[check.name, name] for name in names]
+        cells = [_verdict(row.verdict, _why(row)) for row in check_rows]
         verdicts.append([pages.Cell(check.name, check.title), check.data, check.criterion, *cells])
         details.append(_check(check, check_rows))
 
-    first = models[0].name
-    promises = [[title, promise, _verdict(verdict, why)] for title, promise, verdict, why in gates(rows, first)]
-    head = ["", "data", "criterion", *(model.name for model in models)]
+    # Gates are promises about the first model alone.
+    promises = []
+    for title, promise, verdict, why in gates(rows, names[0]):
+        promises.append([title, promise, _verdict(verdict, why)])
+
+    table = pages.table(["", "data", "criterion", *names], verdicts, "words")
     sections = [
-        pages.section("Verdicts", pages.table(head, verdicts, "words"), pages.note(DATA)),
-        pages.section(f"Gates of {first}", pages.table([], promises, "words")),
+        pages.section("Verdicts", table, pages.note(DATA)),
+        pages.section(f"Gates of {names[0]}", pages.table([], promises, "words")),
         *details,
         pages.origin(flags.command("validate", options), versions()),
     ]
@@ -111,13 +140,20 @@ def _check(check: Check, rows: Sequence[CheckRow]) -> str:
         "source": check.source,
         "data": check.data,
     }
-    facts |= {row.model: f"{row.verdict}: {row.reason or row.measured}" for row in rows}
+    figures = []
+    for row in rows:
+        facts[row.model] = f"{row.verdict}: {_why(row)}"
+        for caption, picture in row.pictures:
+            figures.append(pages.figure(picture, f"{row.model}: {caption}"))
 
-    figures = [pages.figure(picture, f"{row.model}: {caption}") for row in rows for caption, picture in row.pictures]
     curves = _curves(rows)
     if curves:
-        figures.append(pages.figure(svg(plot(curves, rows[0].axes), f"{check.name}-curves")))
-    parts = [pages.facts(facts), pages.grid(figures)] if figures else [pages.facts(facts)]
+        picture = svg(plot(curves, rows[0].axes), f"{check.name}-curves")
+        figures.append(pages.figure(picture))
+
+    parts = [pages.facts(facts)]
+    if figures:
+        parts.append(pages.grid(figures))
     return pages.section(f"{check.name} · {check.title}", *parts)
 
 
@@ -127,7 +163,11 @@ def _curves(rows: Sequence[CheckRow]) -> list[Curve]:
     for row in rows:
         several = len({curve.name for curve in row.curves if not curve.reference}) > 1
         for curve in row.curves:
-            of_model = f"{row.model}: {curve.name}" if several else row.model
-            name = curve.name if curve.reference else of_model
+            if curve.reference:
+                name = curve.name
+            elif several:
+                name = f"{row.model}: {curve.name}"
+            else:
+                name = row.model
             curves[name, curve.reference] = replace(curve, name=name)
     return list(curves.values())

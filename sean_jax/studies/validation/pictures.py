@@ -21,19 +21,25 @@ RADIUS = 0.2  # m, of people
 BORDER = 1.5  # m of floor around people
 NEAR = 3.0  # m from people within which walls are shown
 FAR = 1e3  # m, from where on gates are not drawn
-WIDTH, TALLEST, LOWEST = 6.4, 6.4, 0.8  # inches
+WIDTH = 6.4  # inches
+TALLEST = 6.4  # inches
+LOWEST = 0.8  # inches
 
 
 def extent(places: Float[np.ndarray, "K 2"]) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner (2,) [m] around places; of the unit square without any."""
-    return (places.min(0), places.max(0)) if len(places) else (np.zeros(2), np.ones(2))
+    if not len(places):
+        return np.zeros(2), np.ones(2)
+    return places.min(0), places.max(0)
 
 
 def wall_corners(walls: Float[np.ndarray, "W 5"]) -> Float[np.ndarray, "W 4 2"]:
     """The corners [m] of the walls of a scene."""
     walls = np.asarray(walls, float).reshape(-1, 5)
-    sides = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * walls[:, None, 2:4]  # (W, 4, 2)
-    cosine, sine = np.cos(walls[:, None, 4]), np.sin(walls[:, None, 4])
+    signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    sides = signs * walls[:, None, 2:4]  # (W, 4, 2)
+    cosine = np.cos(walls[:, None, 4])
+    sine = np.sin(walls[:, None, 4])
     x = sides[..., 0] * cosine - sides[..., 1] * sine
     y = sides[..., 0] * sine + sides[..., 1] * cosine
     return np.stack([x, y], -1) + walls[:, None, :2]
@@ -41,9 +47,11 @@ def wall_corners(walls: Float[np.ndarray, "W 5"]) -> Float[np.ndarray, "W 4 2"]:
 
 def trajectories(scene: Scene, tracks: Tracks) -> "Figure":
     """Walls, gates, the paths of some people, and everybody half way through the time."""
-    position, present = np.asarray(tracks.position, float), np.asarray(tracks.present)
+    position = np.asarray(tracks.position, float)
+    present = np.asarray(tracks.present)
     corners = wall_corners(scene.walls)
-    axes = _floor(*_view(position[present], corners))
+    lower, upper = _view(position[present], corners)
+    axes = _floor(lower, upper)
 
     _draw_plan(axes, scene, corners)
     _draw_paths(axes, position, present)
@@ -57,8 +65,11 @@ def trajectories(scene: Scene, tracks: Tracks) -> "Figure":
 def _view(places: Float[np.ndarray, "K 2"], corners: Float[np.ndarray, "W 4 2"]) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner (2,) [m] of a picture: people with a border, and the corners of walls near them."""
     lower, upper = extent(places)
-    near = corners[((corners > lower - NEAR) & (corners < upper + NEAR)).all(-1)]
-    return np.min([lower - BORDER, *near], axis=0), np.max([upper + BORDER, *near], axis=0)
+    is_near = (corners > lower - NEAR) & (corners < upper + NEAR)
+    near = corners[is_near.all(-1)]  # (K, 2) m
+    lower = np.min([lower - BORDER, *near], axis=0)
+    upper = np.max([upper + BORDER, *near], axis=0)
+    return lower, upper
 
 
 def _floor(lower: np.ndarray, upper: np.ndarray) -> "Axes":
@@ -79,15 +90,19 @@ def _floor(lower: np.ndarray, upper: np.ndarray) -> "Axes":
 def _draw_plan(axes: "Axes", scene: Scene, corners: Float[np.ndarray, "W 4 2"]) -> None:
     from matplotlib.collections import LineCollection, PolyCollection
 
-    axes.add_collection(PolyCollection(list(corners), facecolors=colors.OBSTACLE))
+    walls = PolyCollection(list(corners), facecolors=colors.OBSTACLE)
+    axes.add_collection(walls)
     gates = [gate for gate in scene.gates if np.abs(np.asarray(gate)).max() < FAR]
-    axes.add_collection(LineCollection(gates, colors=colors.FLOW, linewidths=1.6, linestyles="dashed", zorder=2))
+    lines = LineCollection(gates, colors=colors.FLOW, linewidths=1.6, linestyles="dashed", zorder=2)
+    axes.add_collection(lines)
 
 
 def _draw_paths(axes: "Axes", position: Float[np.ndarray, "T N 2"], present: np.ndarray) -> None:
     people = present.shape[1]
-    for person in np.linspace(0, people - 1, min(PATHS, people)).astype(int):
-        path = np.where(present[:, person, None], position[:, person], np.nan)[::STRIDE]
+    drawn = np.linspace(0, people - 1, min(PATHS, people)).astype(int)
+    for person in drawn:
+        path = np.where(present[:, person, None], position[:, person], np.nan)
+        path = path[::STRIDE]
         step = np.linalg.norm(np.diff(path, axis=0, prepend=path[:1]), axis=1)
         path[step > STRIDE] = np.nan  # around a period
         axes.plot(*path.T, color=colors.TRAIL, linewidth=0.9, alpha=0.7, zorder=3, rasterized=True)
@@ -120,9 +135,18 @@ def plot(curves: Sequence[Curve], labels: tuple[str, str]) -> "Figure":
     names = list(dict.fromkeys(curve.name for curve in curves if not curve.reference))
     shades = dict(zip(names, colors.policy_colors(names), strict=True))
     for curve in curves:
-        color = colors.MUTED if curve.reference else shades[curve.name]
-        line = "none" if curve.points else "--" if curve.reference else "-"
-        marker = "o" if curve.points or not curve.reference else ""
+        if curve.reference:
+            color = colors.MUTED
+            line = "--"
+            marker = ""
+        else:
+            color = shades[curve.name]
+            line = "-"
+            marker = "o"
+        if curve.points:
+            line = "none"
+            marker = "o"
+
         style: Any = dict(color=color, linestyle=line, marker=marker, markersize=4, linewidth=1.6)
         axes.plot(curve.x, curve.y, label=curve.name, **style)
 

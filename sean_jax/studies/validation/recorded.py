@@ -59,7 +59,8 @@ class Average:
     def __call__(self, scenario: Scenario, state: State) -> Pedestrians:
         """N people one control step later."""
         people = state.pedestrians
-        after = self.move(scenario, replace(state, pedestrians=replace(people, traits=None, noise=None)))
+        alike = replace(people, traits=None, noise=None)
+        after = self.move(scenario, replace(state, pedestrians=alike))
         return replace(after, traits=people.traits, noise=people.noise)
 
 
@@ -70,32 +71,43 @@ def errors(
 
     Of moments with one person the distributions are not compared; NaN without any.
     """
-    simulated, recorded = np.asarray(simulated, float), np.asarray(recorded, float)
-    near, distances, discrepancies, warpings = [], [], [], []
+    simulated = np.asarray(simulated, float)
+    recorded = np.asarray(recorded, float)
+
+    # At each moment, the places of everybody are compared as two distributions.
+    near = []
+    distances = []
+    discrepancies = []
     for moment, chosen in enumerate(counted):
         if chosen.sum() > 1:
-            walked, known = simulated[moment, chosen], recorded[moment, chosen]
+            walked = simulated[moment, chosen]  # (K, 2) m
+            known = recorded[moment, chosen]
             near.append(_nearest(walked) < TOUCH)
             distances.append(transport(walked, known))
             discrepancies.append(discrepancy(walked, known))
+
+    # Each person's track is compared with their own.
+    warpings = []
     for person, chosen in enumerate(counted.T):
         if chosen.any():
-            warpings.append(warping(simulated[chosen, person], recorded[chosen, person]) / chosen.sum())
+            least = warping(simulated[chosen, person], recorded[chosen, person])
+            warpings.append(least / chosen.sum())
 
-    distance = np.linalg.norm(simulated - recorded, axis=-1)
-    return Errors(
-        mae=float(distance[counted].mean()) if counted.any() else np.nan,
-        ot=_mean(distances),
-        mmd=_mean(discrepancies),
-        dtw=_mean(warpings),
-        collisions=float(np.concatenate(near).sum() / counted.sum()) if near else 0.0,
-    )
+    mae = np.nan
+    if counted.any():
+        distance = np.linalg.norm(simulated - recorded, axis=-1)  # (T, N) m
+        mae = float(distance[counted].mean())
+    collisions = 0.0
+    if near:
+        collisions = float(np.concatenate(near).sum() / counted.sum())
+    return Errors(mae, _mean(distances), _mean(discrepancies), _mean(warpings), collisions)
 
 
 def transport(a: Float[np.ndarray, "K 2"], b: Float[np.ndarray, "K 2"]) -> float:
     """Optimal transport between as many points [m2]: the least mean squared distance of an assignment."""
-    cost = np.square(a[:, None] - b[None]).sum(-1)
-    return float(cost[linear_sum_assignment(cost)].mean())
+    cost = np.square(a[:, None] - b[None]).sum(-1)  # (K, K) m2
+    assigned = linear_sum_assignment(cost)
+    return float(cost[assigned].mean())
 
 
 def discrepancy(a: Float[np.ndarray, "K 2"], b: Float[np.ndarray, "L 2"]) -> float:
@@ -105,8 +117,15 @@ def discrepancy(a: Float[np.ndarray, "K 2"], b: Float[np.ndarray, "L 2"]) -> flo
     mean = square.sum() / (len(points) * (len(points) - 1))
     if mean == 0.0:
         return 0.0
-    weight = np.concatenate([np.full(len(a), 1.0 / len(a)), np.full(len(b), -1.0 / len(b))])
-    return float(sum(weight @ np.exp(-square / (width * mean)) @ weight for width in KERNELS))
+
+    weight_a = np.full(len(a), 1.0 / len(a))
+    weight_b = np.full(len(b), -1.0 / len(b))
+    weight = np.concatenate([weight_a, weight_b])
+    total = 0.0
+    for width in KERNELS:
+        kernel = np.exp(-square / (width * mean))
+        total += weight @ kernel @ weight
+    return float(total)
 
 
 def warping(a: Float[np.ndarray, "S 2"], b: Float[np.ndarray, "U 2"]) -> float:
@@ -127,8 +146,11 @@ def differences(
 ) -> Differences:
     """The differences between the windows of a scene, each positions [m] and presence, 0.4 s apart."""
     places = np.concatenate([position[present] for position, present in recorded])
-    low, size = places.min(0), np.maximum(np.ptp(places, axis=0), 1e-9)
-    walked, known = _distributions(simulated, low, size), _distributions(recorded, low, size)
+    low = places.min(0)
+    size = np.maximum(np.ptp(places, axis=0), 1e-9)
+    walked = _distributions(simulated, low, size)
+    known = _distributions(recorded, low, size)
+
     scales = np.mean(known[0]), 1.0, np.mean(known[2])
     distances = []
     for values, known_values, scale in zip(walked, known, scales, strict=True):
@@ -144,15 +166,22 @@ def _distributions(
     Args:
         low, size: (2,) m, the lower corner of the cells, and the extent of all together.
     """
-    population, coverage, step_length = [], [], []
+    population = []
+    coverage = []
+    step_length = []
     for position, present in windows:
-        cell = np.clip(np.floor((position - low) / size * CELLS), 0, CELLS - 1) @ np.array([1, CELLS])
         population += present.sum(1).tolist()
-        coverage += [len(np.unique(row[chosen])) / CELLS**2 for row, chosen in zip(cell, present, strict=True)]
+
+        column_row = np.clip(np.floor((position - low) / size * CELLS), 0, CELLS - 1)  # (T, N, 2)
+        cell = column_row @ np.array([1, CELLS])
+        for moment, chosen in enumerate(present):
+            occupied = np.unique(cell[moment, chosen])
+            coverage.append(len(occupied) / CELLS**2)
 
         walks = present[1:] & present[:-1]
-        step = np.linalg.norm(np.diff(position, axis=0), axis=-1) * walks
-        step_length += (step.sum(0) / np.maximum(walks.sum(0), 1))[walks.any(0)].tolist()
+        step = np.linalg.norm(np.diff(position, axis=0), axis=-1) * walks  # (T - 1, N) m
+        mean_step = step.sum(0) / np.maximum(walks.sum(0), 1)
+        step_length += mean_step[walks.any(0)].tolist()
     return population, coverage, step_length
 
 
@@ -170,20 +199,32 @@ def closed_loop(context: CheckContext) -> CheckResult:
     drawn_tracks = iter(context.simulate(scenes))
     straight_tracks = iter(straight.simulate(scenes))
 
-    measured, straight_errors, collisions, distances = {}, {}, {}, {}
+    measured = {}
+    straight_errors = {}
+    collisions = {}
+    distances = {}
     for name, windows in recordings.items():
-        walked, mark, known, drawn, weights = [], [], [], [], []
+        walked = []
+        mark = []
+        known = []
+        drawn = []
+        weights = []
         for street in windows:
-            moments, chosen = len(street.position), counted(street)
-            walked.append(errors(positions(next(average_tracks), moments), street.position, chosen))
-            mark.append(errors(positions(next(straight_tracks), moments), street.position, chosen))
+            moments = len(street.position)
+            chosen = counted(street)
+            average_walk = positions(next(average_tracks), moments)
+            straight_walk = positions(next(straight_tracks), moments)
+            walked.append(errors(average_walk, street.position, chosen))
+            mark.append(errors(straight_walk, street.position, chosen))
             known.append(errors(street.position, street.position, chosen))
             drawn.append(_sampled(next(drawn_tracks), moments))
             weights.append(chosen.sum())
+
         measured[name] = mean_errors(walked, weights)
         straight_errors[name] = mean_errors(mark, weights)
         collisions[name] = mean_errors(known, weights).collisions
-        distances[name] = differences(drawn, [(street.position, street.present) for street in windows])
+        recorded = [(street.position, street.present) for street in windows]
+        distances[name] = differences(drawn, recorded)
     return compare_errors(measured, straight_errors, collisions, distances)
 
 
@@ -196,14 +237,19 @@ def prediction_samples(context: CheckContext) -> CheckResult:
     paths = context.eth_ucy()
     chosen = context.model
     mover = chosen.forces if chosen.move is social_forces.move else chosen.move
-    words, numbers, better = [], {}, True
+    words = []
+    numbers = {}
+    better = True
     for path in context.progress(paths):
-        scene, windows = path.stem, read_windows(path)
+        scene = path.stem
+        windows = read_windows(path)
         single = evaluate(mover, windows, **HABITS)
         samples = evaluate_samples(mover, windows, SAMPLES, **HABITS)
         better = better and samples.best_ade < single.ade and samples.best_fde < single.fde
+
         values = samples._asdict() | {"ade": single.ade, "fde": single.fde}
-        numbers |= {f"{name}_{scene}": float(value) for name, value in values.items()}
+        for name, value in values.items():
+            numbers[f"{name}_{scene}"] = float(value)
         words.append(
             f"{scene} {samples.best_ade:.3f}/{samples.best_fde:.3f}, likelihood {samples.nll:.2f}, one average "
             f"person {single.ade:.3f}/{single.fde:.3f}"
@@ -216,7 +262,8 @@ def again(street: Street) -> Scene:
     speed = np.zeros(street.present.shape[1])
     for person, present in enumerate(street.present.T):
         observed = street.position[present, person][: OBSERVED + 1]
-        speed[person] = np.linalg.norm(np.diff(observed, axis=0), axis=-1).mean() / TIME_STEP
+        step = np.linalg.norm(np.diff(observed, axis=0), axis=-1)
+        speed[person] = step.mean() / TIME_STEP
     return walked_again(replace(street, speed=speed))
 
 
@@ -230,7 +277,8 @@ def mean_errors(parts: list[Errors], weights: list[float]) -> Errors:
     values = np.asarray(parts, float)  # (scenes, errors)
     share = np.where(np.isfinite(values), np.asarray(weights, float)[:, None], 0.0)
     total = np.where(share > 0.0, share * values, 0.0).sum(0)
-    return Errors(*(total / np.maximum(share.sum(0), 1e-9)).tolist())
+    mean = total / np.maximum(share.sum(0), 1e-9)
+    return Errors(*mean.tolist())
 
 
 def compare_errors(
@@ -248,22 +296,29 @@ def compare_errors(
         collisions: of the recorded people.
         distances: of the distributions of simulated and recorded people.
     """
-    farther, words, numbers = [], [], {}
+    farther = []
+    words = []
+    numbers = {}
     for name, simulated in measured.items():
-        known, apart = straight[name], distances[name]._asdict()
+        known = straight[name]
+        apart = distances[name]._asdict()
         if simulated.mae > known.mae or simulated.mmd > known.mmd:
             farther.append(name)
-        numbers |= {f"{word}_{name}": value for word, value in (simulated._asdict() | apart).items()}
+
+        numbers |= {f"{word}_{name}": value for word, value in simulated._asdict().items()}
+        numbers |= {f"{word}_{name}": value for word, value in apart.items()}
         numbers |= {f"{word}_constant_velocity_{name}": value for word, value in known._asdict().items()}
+        apart_words = ", ".join(f"{word} {value:.3f} apart" for word, value in apart.items())
         words.append(
             f"{name}: MAE {simulated.mae:.2f} m, OT {simulated.ot:.2f} m², MMD {simulated.mmd:.3f}, "
             f"DTW {simulated.dtw:.2f} m (constant velocity {known.mae:.2f}, {known.ot:.2f}, {known.mmd:.3f}, "
             f"{known.dtw:.2f}), nearer than {TOUCH:g} m {100 * simulated.collisions:.1f} % (recorded "
-            f"{100 * collisions[name]:.1f} %), "
-            + ", ".join(f"{word} {value:.3f} apart" for word, value in apart.items())
+            f"{100 * collisions[name]:.1f} %), {apart_words}"
         )
-    which = f" (not: {', '.join(farther)})" if farther else ""
-    criterion = f"MAE and MMD not above those of constant velocity{which}"
+
+    criterion = "MAE and MMD not above those of constant velocity"
+    if farther:
+        criterion += f" (not: {', '.join(farther)})"
     return result(not farther, "; ".join(words), criterion, numbers=numbers)
 
 
@@ -286,4 +341,6 @@ def _nearest(place: np.ndarray) -> np.ndarray:
 
 
 def _mean(values: list[float]) -> float:
-    return float(np.mean(values)) if values else np.nan
+    if not values:
+        return np.nan
+    return float(np.mean(values))

@@ -33,7 +33,8 @@ from sean_jax.studies.validation.measures import (
 
 TIME_STEP = 0.4  # s, of the recordings of ETH and UCY
 WINDOW = 150  # moments
-LEAST_WAY, LEAST_MOMENTS = 2.0, 5  # m and moments, of people who walk
+LEAST_WAY = 2.0  # m, of people who walk
+LEAST_MOMENTS = 5  # likewise
 GATE = 1.2  # m, width of the line where a person left
 STRIDE = 4  # moments of a simulation, 0.1 s, in one of the recordings
 TOLERANCE = 0.25
@@ -79,7 +80,8 @@ def streets(path: str | Path) -> list[Street]:
     """
     path = Path(path)
     tracks = read(path, "eth_ucy", time_step=None)
-    position, present = np.asarray(tracks.position, float), np.asarray(tracks.present)
+    position = np.asarray(tracks.position, float)
+    present = np.asarray(tracks.present)
     people = np.arange(present.shape[1])
     file = path.with_name(f"{path.stem}.groups.txt")
     group = read_companions(file, tracks) if file.is_file() else np.full(len(people), -1)
@@ -89,24 +91,28 @@ def streets(path: str | Path) -> list[Street]:
     goal = position[last, people]
     way = np.linalg.norm(goal - position[first, people], axis=-1)
     walks = (way > LEAST_WAY) & (present.sum(0) >= LEAST_MOMENTS)
-    step = np.linalg.norm(np.diff(position, axis=0), axis=-1) * (present[1:] & present[:-1])
-    speed = step.sum(0) / np.maximum((last - first) * tracks.time_step, tracks.time_step)
+    both = present[1:] & present[:-1]
+    step = np.linalg.norm(np.diff(position, axis=0), axis=-1) * both  # (T - 1, N) m
 
+    # The mean speed is the whole way over the whole time, with gaps in it.
+    time = (last - first) * tracks.time_step
+    speed = step.sum(0) / np.maximum(time, tracks.time_step)
+
+    # Goals and speeds are of the whole recording, also if a person is in several windows.
     windows = []
     for begin in range(0, len(position) - 1, WINDOW):
         window = slice(begin, begin + WINDOW)
         chosen = np.flatnonzero(walks & (present[window].sum(0) >= LEAST_MOMENTS))
         if len(chosen) < 2:
             continue
-        windows.append(
-            Street(
-                position=position[window][:, chosen],
-                present=present[window][:, chosen],
-                goal=goal[chosen],
-                speed=speed[chosen],
-                group=group[chosen],
-            )
+        street = Street(
+            position=position[window][:, chosen],
+            present=present[window][:, chosen],
+            goal=goal[chosen],
+            speed=speed[chosen],
+            group=group[chosen],
         )
+        windows.append(street)
     return windows
 
 
@@ -121,25 +127,32 @@ def walked_again(street: Street) -> Scene:
     way = way / np.maximum(np.linalg.norm(way, axis=-1), 1e-9)[:, None]
 
     # Everybody has a gate of their own, a line across the way where they left.
-    crowd, gates = [], []
+    crowd = []
+    gates = []
     for k in people:
-        crowd.append(walkers(start[k : k + 1], route=(k,), speed=street.speed[k], velocity=tuple(velocity[k])))
+        person = walkers(start[k : k + 1], route=(k,), speed=street.speed[k], velocity=tuple(velocity[k]))
+        crowd.append(person)
 
         # The normal to the left of (x, y) is (-y, x); the other end is opposite to it.
-        left = street.goal[k] + 0.5 * GATE * np.array([-way[k, 1], way[k, 0]])
-        gates.append(Gate(tuple(left), tuple(2.0 * street.goal[k] - left)))
+        goal = street.goal[k]
+        x, y = way[k]
+        left = goal + 0.5 * GATE * np.array([-y, x])
+        right = 2.0 * goal - left
+        gates.append(Gate(tuple(left), tuple(right)))
 
     # Members of a group walk side by side: each has the one on the right and the one on the left as companions.
     companion = np.full((len(people), 2), -1, np.int32)
     for members in street.groups():
         ahead = way[members].mean(0)  # (2,)
-        order = members[np.argsort(start[members] @ np.array([-ahead[1], ahead[0]]))]
+        to_left = start[members] @ np.array([-ahead[1], ahead[0]])
+        order = members[np.argsort(to_left)]
         companion[order[1:], 0] = order[:-1]
         companion[order[:-1], 1] = order[1:]
 
     # Who comes later enters at the time of the recording, so that density changes as it did.
     entering = replace(join(*crowd), entry_time=first * TIME_STEP, companion=companion)
-    return Scene(NO_WALLS, entering, tuple(gates), (len(street.present) - 1) * TIME_STEP)
+    seconds = (len(street.present) - 1) * TIME_STEP
+    return Scene(NO_WALLS, entering, tuple(gates), seconds)
 
 
 class Walk(NamedTuple):
@@ -154,14 +167,19 @@ class Walk(NamedTuple):
 
 def measure(windows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Walk:
     """The motion in windows of positions [m], presence and pairs; recorded and simulated ones are smoothed alike."""
-    motions = [motion(*smoothed(position, present), TIME_STEP) for position, present, _ in windows]
-    together = [company(position, present, pairs, TIME_STEP) for position, present, pairs in windows]
-    return Walk(
-        Motion(*map(np.concatenate, zip(*motions, strict=True))),
-        np.concatenate([sideways(position, present) for position, present, _ in windows]),
-        np.concatenate([slowest(position, present) for position, present, _ in windows]),
-        *map(np.concatenate, zip(*together, strict=True)),
-    )
+    motions = []
+    deviations = []
+    slowest_steps = []
+    together = []
+    for position, present, pairs in windows:
+        motions.append(motion(*smoothed(position, present), TIME_STEP))
+        deviations.append(sideways(position, present))
+        slowest_steps.append(slowest(position, present))
+        together.append(company(position, present, pairs, TIME_STEP))
+
+    magnitudes = map(np.concatenate, zip(*motions, strict=True))
+    spacing, beside = map(np.concatenate, zip(*together, strict=True))
+    return Walk(Motion(*magnitudes), np.concatenate(deviations), np.concatenate(slowest_steps), spacing, beside)
 
 
 def walk_again(context: CheckContext) -> CheckResult:
@@ -171,7 +189,8 @@ def walk_again(context: CheckContext) -> CheckResult:
         Skipped: there are no recordings.
     """
     recordings = windows_by_recording(context)
-    scenes, captions = [], []
+    scenes = []
+    captions = []
     for name, windows in recordings.items():
         scenes += [walked_again(street) for street in windows]
         captions += [name, *[""] * (len(windows) - 1)][: len(windows)]
@@ -187,7 +206,9 @@ def walk_again(context: CheckContext) -> CheckResult:
 
 def _sampled(tracks: Tracks, street: Street) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Positions and presence at the moments of the recording, and pairs."""
-    return np.asarray(tracks.position)[::STRIDE], np.asarray(tracks.present)[::STRIDE], street.pairs()
+    position = np.asarray(tracks.position)[::STRIDE]
+    present = np.asarray(tracks.present)[::STRIDE]
+    return position, present, street.pairs()
 
 
 UNITS = {"acceleration": "m/s²", "jerk": "m/s³", "turn_rate": "rad/s"}  # of magnitudes
@@ -195,10 +216,12 @@ UNITS = {"acceleration": "m/s²", "jerk": "m/s³", "turn_rate": "rad/s"}  # of m
 
 def compare_walks(walks: dict[str, tuple[Walk, Walk]]) -> CheckResult:
     """The result of the motion in several recordings, recorded and simulated."""
-    words, numbers = [], {}
+    words = []
+    numbers = {}
     ratios: dict[str, list[float]] = {name: [] for name in UNITS}
     for scene, (recorded, again) in walks.items():
-        known, simulated = summary(recorded), summary(again)
+        known = summary(recorded)
+        simulated = summary(again)
 
         # The ratio is of magnitudes; a floor keeps its logarithm finite for people who walk straight on.
         for name in UNITS:
@@ -206,11 +229,16 @@ def compare_walks(walks: dict[str, tuple[Walk, Walk]]) -> CheckResult:
 
         numbers |= {f"{name}_{scene}": value for name, value in simulated.items()}
         numbers |= {f"{name}_{scene}_recorded": value for name, value in known.items()}
-        values = (f"{name.replace('_', ' ')} {value:.2f} ({known[name]:.2f})" for name, value in simulated.items())
+        values = []
+        for name, value in simulated.items():
+            values.append(f"{name.replace('_', ' ')} {value:.2f} ({known[name]:.2f})")
         words.append(f"{scene}: {', '.join(values)}")
 
     # The geometric mean: twice and half as much as recorded balance each other.
-    mean = {name: float(np.exp(np.mean(np.log(values)))) for name, values in ratios.items()}
+    mean = {}
+    for name, values in ratios.items():
+        logarithm = np.mean(np.log(values))
+        mean[name] = float(np.exp(logarithm))
     numbers |= {f"ratio_{name}": value for name, value in mean.items()}
 
     number, scenes = numbered(walks)
@@ -218,10 +246,10 @@ def compare_walks(walks: dict[str, tuple[Walk, Walk]]) -> CheckResult:
     curves.append(level("recorded", number, 1.0))
 
     # 95th percentiles, because the largest values of a recording are often errors of tracking (rough in eth and hotel).
+    mean_words = ", ".join(f"{name} {value:.2f}" for name, value in mean.items())
     return result(
         all(abs(value - 1.0) <= TOLERANCE for value in mean.values()),
-        f"{', '.join(f'{name} {value:.2f}' for name, value in mean.items())} times the recorded; {'; '.join(words)} "
-        "(recorded)",
+        f"{mean_words} times the recorded; {'; '.join(words)} (recorded)",
         f"95th percentiles of {', '.join(UNITS)} within {100 * TOLERANCE:.0f} % of the recorded, in the mean of scenes",
         numbers=numbers,
         curves=tuple(curves),
@@ -235,8 +263,9 @@ def summary(walk: Walk) -> dict[str, float]:
     values["sideways"] = float(np.nanmedian(walk.sideways))
     values["slowest"] = float(np.nanmedian(walk.slowest))
 
-    pairs = bool(len(walk.spacing))
-    values["spacing"] = float(walk.spacing.mean()) if pairs else np.nan
-    values["spacing_deviation"] = float(walk.spacing.std()) if pairs else np.nan
-    values["beside"] = float(walk.beside.mean()) if pairs else np.nan
+    values |= dict.fromkeys(("spacing", "spacing_deviation", "beside"), np.nan)
+    if len(walk.spacing):
+        values["spacing"] = float(walk.spacing.mean())
+        values["spacing_deviation"] = float(walk.spacing.std())
+        values["beside"] = float(walk.beside.mean())
     return values

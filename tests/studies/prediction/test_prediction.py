@@ -227,6 +227,14 @@ def test_walking_companions_are_those_who_stay_near_and_walk_alike():
     assert forecast.walking_companions(jnp.asarray(observed), hidden, STEP)[0].tolist() == [0, 0, -1, -1, -1, -1, -1]
 
 
+def test_a_walking_group_is_a_chain_of_four_links_at_most():
+    """Six abreast, each near to the next alone: the sixth is five links from the first."""
+    abreast = straight([[1.2, 0.0]] * 6, [[0.0, 0.8 * person] for person in range(6)])
+    label, companions = forecast.walking_companions(jnp.asarray(abreast), jnp.ones(abreast.shape[:2], bool), STEP)
+    np.testing.assert_array_equal(label, [0, 0, 0, 0, 0, 1])
+    np.testing.assert_array_equal(companions[-1], [1, 2])
+
+
 def test_companions_are_not_pushed_apart():
     abreast = np.stack([np.stack([np.arange(8) * 0.5, np.full(8, side)], -1) for side in (0.0, 0.5)], 1)
     ahead = np.asarray(predict("calibrated", abreast, STEP, 12))

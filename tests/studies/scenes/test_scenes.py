@@ -79,6 +79,20 @@ def test_a_room_is_open_at_its_doors_alone():
         room((0.0, 0.0), (4.0, 3.0), [((2.0, 1.0), (2.0, 2.0))])
 
 
+@pytest.mark.parametrize("door", [((1.0, 0.0), (2.0, 1.0)), ((0.0, 1.0), (4.0, 2.0)), ((4.0, 0.0), (2.0, 3.0))])
+def test_a_diagonal_door_lies_on_no_side(door):
+    with pytest.raises(InputError, match="doors: .*no side"):
+        room((0.0, 0.0), (4.0, 3.0), [door])
+
+
+@pytest.mark.parametrize("x", [0.0, 4.0])
+def test_a_door_within_a_wider_one_changes_no_wall(x):
+    wide, narrow = ((x, 0.5), (x, 2.5)), ((x, 2.0), (x, 1.0))
+    across = ((0.5, 3.0), (3.0, 3.0)), ((2.0, 3.0), (1.0, 3.0))
+    plan = room((0.0, 0.0), (4.0, 3.0), [narrow, wide, *across])
+    np.testing.assert_array_equal(plan, room((0.0, 0.0), (4.0, 3.0), [wide, across[0]]))
+
+
 def test_a_gate_is_passed_in_its_direction_and_aimed_at_between_its_ends():
     number = 300
     middle, turn = rng.uniform(-5, 5, (number, 2)), rng.uniform(0, 2 * np.pi, number)

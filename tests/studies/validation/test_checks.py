@@ -136,6 +136,32 @@ def test_speeds_that_change_as_recorded_pass_and_a_lattice_does_not():
     assert not lattice.passed and "no wave" in lattice.measured
 
 
+def test_draws_without_a_wave_do_not_count_in_the_wave_of_the_others(monkeypatch):
+    def stop_and_go(still):
+        """The check on the recorded motions, except that draws of these indices have no wave."""
+        draws = iter([draw for _ in crowds.WAVES for draw in range(4)])
+
+        def file_motion(scene):
+            speed, deviation, delay, wave = crowds.WAVES[len(scene.walkers.start)]
+            draw = next(draws)
+            moved = [np.nan] * 3 if draw in still else [0.5, delay + 0.1 * draw, wave]
+            return np.full((5, 3), speed), crowds.FileMotion(speed, deviation, *moved)
+
+        monkeypatch.setattr(CheckContext, "simulate", lambda self, scenes, captions: scenes)
+        monkeypatch.setattr(crowds, "_file_motion", file_motion)
+        return crowds.stop_and_go(CheckContext(model(straight)))
+
+    found = stop_and_go({1})
+    assert found.passed, found.measured
+    assert found.measured.count("in 3 of 4 draws") == len(crowds.WAVES)
+    assert found.numbers["wave_45"] == pytest.approx(crowds.WAVES[45][3])
+    assert found.numbers["delay_45"] == pytest.approx(crowds.WAVES[45][2] + 0.1 * (0 + 2 + 3) / 3)
+
+    everywhere, nowhere = stop_and_go(set()), stop_and_go({0, 1, 2, 3})
+    assert everywhere.passed and "draws" not in everywhere.measured
+    assert not nowhere.passed and "no wave in all draws" in nowhere.measured and np.isnan(nowhere.numbers["wave_45"])
+
+
 def test_what_needs_pedpy_is_skipped_without(monkeypatch):
     monkeypatch.setitem(sys.modules, "pedpy", None)
     monkeypatch.setattr(CheckContext, "simulate", lambda *_: pytest.fail("nothing should be simulated first"))
