@@ -213,8 +213,8 @@ RecordingRate = Annotated[
 Routing = Annotated[
     Literal["trips", "whole", "edge"],
     Field(
-        description="trips: people have errands at their goals and leave at entrances; whole: people keep a route to their goal; edge: they choose again at each node, as in SEAN 2.0's "
-        "code."
+        description="trips: people have errands at their goals, come in and leave at entrances and walk in curves; "
+        "whole: they keep a route to their goal; edge: they choose again at each node, as in SEAN 2.0's code."
     ),
 ]
 WalkingGroups = Annotated[

@@ -334,7 +334,6 @@ def _check_waypoint(name: str, node: Node) -> Iterator[files.Problem]:
             text = "only a group has one and this is a waypoint; remove it, or make the kind 'group'"
             yield ("nodes", name, key), text
 
-
     yield from _check_order(name, "errand", node.errand)
 
 

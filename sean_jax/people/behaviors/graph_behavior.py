@@ -7,6 +7,7 @@ in SEAN 2.0's code, and with ``group_membership="permanent"`` people who start i
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -303,43 +304,27 @@ def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
         key, draw_key = jax.random.split(key)
         draws = graph_choices.draw(draw_key, tables.temperature, scenario.people, tables.graph.seat_group.shape[0])
     choice_key, entrance_key = jax.random.split(key)
-    chance = jax.random.uniform(choice_key, (5, scenario.people), float)  # (5, N)
+    chance = TripChances(*jax.random.uniform(choice_key, (5, scenario.people), float))
 
     # Who comes in stands still for this step.
-    limit = scenario.people if scenario.people_present is None else scenario.people_present
-    people, memory = state.pedestrians, state.memory
-    people, memory = trips.come_and_go(tables.graph, people, memory, limit, entrance_key, scenario.time_step)
+    people = trips.leave(tables.graph, state.pedestrians, state.memory)
+    outside = ~state.pedestrians.present
+    people, memory = trips.come_in(scenario, tables.graph, people, state.memory, outside, entrance_key)
     state = replace(state, pedestrians=people, memory=memory)
     graph = _graph_with_congestion(tables, state)
 
     # Stays and errands come first: whoever is free chooses a goal in the same step.
-    memory, rises = _stay_or_leave(scenario, people, memory, chance[0], draws)
-    memory, done = trips.advance_errands(graph, people, state.robot, memory, chance[1], scenario.time_step)
+    memory, rises = _stay_or_leave(scenario, people, memory, chance.stay, draws)
+    memory, done = trips.advance_errands(graph, people, state.robot, memory, chance.errand, scenario.time_step)
     seats = seats_of(memory, tables.patience, scenario.time_step)
-    free = rises | done
-    onward = free | trips.passes(graph, people, memory)
-
-    # Seats without a successor come first, then waypoints by their weights.
     arrival = graph_choices.arrival_times(graph, tables.walk, people, memory)
-    seekers = onward & people.present & (people.walking_group < 0)
-    goal_before = memory.goal
-    barred = trips.barred_groups(graph, memory)
-    memory, loses = graph_choices.send(graph, arrival, memory, seats, seekers, draws, barred)
-    aimless = (free & (memory.seat < 0)) | loses
-    odds = trips.goal_odds(graph, memory)
-    goal = jnp.where(aimless, trips.draw_goal(graph, odds, chance[2]), memory.goal)
-    memory = trips.remember(memory._replace(goal=goal), goal_before, goal != goal_before)
-
-    # The next node of the path, and a place there.
-    memory = graph_choices.set_out(graph, memory, onward, chance[3], draws)
-    place = trips.place_on_the_way(graph, people, state.robot, memory, chance[3])
-    to_seat = (memory.seat >= 0) & (memory.hop == memory.goal)
-    memory = memory._replace(target=jnp.where((onward & ~to_seat)[:, None], place, memory.target))
-
-    memory = trips.give_up(graph, people, memory, chance[4], scenario.time_step)
+    state = replace(state, memory=memory)
+    memory = _choose_trips(graph, state, seats, arrival, rises | done, chance, draws)
+    memory = trips.give_up(graph, people, memory, chance.back, scenario.time_step)
 
     # A walking group has one goal: its members copy the leader's choice.
     if scenario.behavior.companions is not None:
+        assert memory.trip is not None  # set by reset
         rows = memory.goal, memory.hop, memory.origin, memory.target, memory.trip.errand
         goal, hop, origin, target, errand = follow_leaders(people.walking_group, *rows)
         trip = memory.trip._replace(errand=errand)
@@ -351,20 +336,68 @@ def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
     if scenario.behavior.companions is not None:
         gap = walk_abreast(people, gap)
     memory, intent = trips.change_intent(memory, gap, speed, scenario.time_step)
+    people = replace(people, desired_velocity=intent)
+    return replace(state, pedestrians=_turn_into_seats(scenario, people, memory), memory=memory)
 
-    # A body turns into its seat.
+
+class TripChances(NamedTuple):
+    """Uniform numbers from 0 to 1 of a step on trips."""
+
+    stay: Float[Array, "N"]
+    errand: Float[Array, "N"]
+    goal: Float[Array, "N"]
+    place: Float[Array, "N"]
+    back: Float[Array, "N"]  # place of people who give up
+
+
+def _choose_trips(
+    graph: BehaviorGraph,
+    state: State,
+    seats: Seats,
+    arrival: Float[Array, "N G"],
+    free: Bool[Array, "N"],
+    chance: TripChances,
+    draws: Draws | None,
+) -> GraphMemory:
+    """Next goals of people who are free, and next nodes of those who pass one.
+
+    Seats without a successor come first, then waypoints by their weights. Nobody is sent back the way they come from.
+
+    Args:
+        arrival: s, of ``graph_choices.arrival_times``.
+        free: people without a goal.
+    """
+    people, memory = state.pedestrians, state.memory
+    goal_before = memory.goal
+    onward = free | trips.passes(graph, people, memory)
+    seekers = onward & people.present & (people.walking_group < 0)
+    barred = trips.barred_groups(graph, memory)
+    memory, loses = graph_choices.send(graph, arrival, memory, seats, seekers, draws, barred)
+    aimless = (free & (memory.seat < 0)) | loses
+    drawn = trips.draw_goal(graph, trips.goal_odds(graph, memory), chance.goal)
+    goal = jnp.where(aimless, drawn, memory.goal)
+    memory = trips.remember(memory._replace(goal=goal), goal_before, goal != goal_before)
+
+    # The next node of the path, and a place there.
+    memory = graph_choices.set_out(graph, memory, onward, chance.place, draws)
+    place = trips.place_on_the_way(graph, people, state.robot, memory, chance.place)
+    to_seat = (memory.seat >= 0) & (memory.hop == memory.goal)
+    return memory._replace(target=jnp.where((onward & ~to_seat)[:, None], place, memory.target))
+
+
+def _turn_into_seats(scenario: Scenario, people: Pedestrians, memory: GraphMemory) -> Pedestrians:
+    """People as members of the groups in which they stand; their bodies turn towards the others."""
+    tables: GraphTables = scenario.behavior.data
     standing = memory.stay > 0
     gap = memory.target - people.position  # (N, 2) m
     settled = standing & (length(gap[:, 0], gap[:, 1]) < SEATED)
     max_angle = scenario.forces.walking.turn_rate * scenario.time_step
-    seat_heading = turn_heading(people.heading, of_seat(memory.seat_heading, memory.seat), max_angle)
-    people = replace(
+    heading = turn_heading(people.heading, of_seat(memory.seat_heading, memory.seat), max_angle)
+    return replace(
         people,
-        desired_velocity=intent,
-        group=jnp.where(standing, of_seat(graph.seat_group, memory.seat), -1),
-        heading=jnp.where(settled[:, None], seat_heading, people.heading),
+        group=jnp.where(standing, of_seat(tables.graph.seat_group, memory.seat), -1),
+        heading=jnp.where(settled[:, None], heading, people.heading),
     )
-    return replace(state, pedestrians=people, memory=memory)
 
 
 def _way(
@@ -386,7 +419,7 @@ def _way(
     speed = people.preferred_speed * pace
     speed = jnp.where(stops, jnp.minimum(speed, trips.braking_speed(remaining)), speed)
     speed = jnp.where(memory.stay > 0, jnp.minimum(speed, distance / SETTLING), speed)
-    return gap, jnp.where(memory.trip.errand > 0, 0.0, speed)
+    return gap, jnp.where(trips.at_errand(memory), 0.0, speed)
 
 
 ROUTINGS = {"trips": direct_trips, "whole": direct, "edge": direct_edge_by_edge}

@@ -1,11 +1,12 @@
 """Trips on the Behavior Graph: people have an errand at each goal, come in and leave at entrances, and turn in curves.
 
-A trip is a sequence of goals. At a waypoint a person stands for an errand, in a group for a visit of minutes, and at an
-entrance the person leaves. The next goal is drawn by the weights of waypoints, hardly ever one of the last two, and never
-back the way that a walking person comes from. Where a graph has no entrance, people tour its waypoints and groups.
+A trip is a sequence of goals. At a waypoint a person stands for an errand, in a group for a visit of minutes, and at
+an entrance the person leaves. The next goal is drawn by the weights of waypoints. It is hardly ever one of the last
+two, and a walking person does not turn back for it. Where a graph has no entrance, people tour its waypoints and
+groups.
 
-The velocity that people want changes gradually. So their ways are curves, they set out and stop gently, and they turn at
-a node before they are there. Recorded people walk in this way (``sean validate``, family *floors*).
+The velocity that people want changes gradually. So their ways are curves, they set out and stop gently, and they turn
+before they are at a node. Recorded people walk in this way (``sean validate``, checks *floors*).
 """
 
 from dataclasses import replace
@@ -15,10 +16,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.core.data_types import Array, Pedestrians, Robot
+from sean_jax.core.data_types import Array, Pedestrians, Robot, Scenario
 from sean_jax.core.geometry import length, unit
 from sean_jax.graph import BehaviorGraph
-from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above, of_seat
+from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above
 
 CHANGE = 0.4  # m/s2, at which the velocity that people want changes
 MAX_CHANGE = 0.8  # m/s2, the same in a tight curve, and where people have to slow down
@@ -36,6 +37,7 @@ BACK = -0.3  # cosine between the present and the next direction, below which a 
 RECENT = 1e-3  # odds of one of the last two goals, relative to others
 TURNS_BACK = 1e-6  # odds of a goal for which a person would turn back
 MAX_CUT = 2.5  # m before a node, where a person who turns there turns at the earliest
+ENTRANCE_GAP = 0.6  # m, to others, of a person who comes in
 MISSED = 3.0  # m from a place that a person has passed by
 CANDIDATES = 4  # places of a node, of which a person takes the one on the way
 
@@ -190,9 +192,7 @@ def place_on_the_way(
     return jnp.take_along_axis(places, best[:, None, None], axis=1)[:, 0]
 
 
-def _some_places(
-    graph: BehaviorGraph, node: Int[Array, "N"], chance: Float[Array, "N"]
-) -> Float[Array, "N K 2"]:
+def _some_places(graph: BehaviorGraph, node: Int[Array, "N"], chance: Float[Array, "N"]) -> Float[Array, "N K 2"]:
     """``CANDIDATES`` places [m] of the disc of each person's node."""
     n_places = graph.places.shape[1]
     first = (chance * n_places).astype(jnp.int32)
@@ -292,53 +292,68 @@ def braking_speed(distance: Float[Array, "N"]) -> Float[Array, "N"]:
     return jnp.sqrt(2.0 * BRAKING * jnp.maximum(distance, 1e-6))
 
 
-def come_and_go(
+def leave(graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory) -> Pedestrians:
+    """People, of whom those have left who are at an entrance that is their goal."""
+    assert memory.trip is not None
+    gap = memory.target - people.position  # (N, 2) m
+    is_there = (memory.hop == memory.goal) & (memory.seat < 0) & (length(gap[:, 0], gap[:, 1]) < ARRIVED)
+
+    # Who has just come in has not had a goal yet.
+    had_goal = memory.trip.visited[:, 0] >= 0
+    leaves = is_there & had_goal & (graph.entrance[memory.goal] > 0.0)
+    velocity = jnp.where(leaves[:, None], 0.0, people.velocity)
+    return replace(people, present=people.present & ~leaves, velocity=velocity)
+
+
+def come_in(
+    scenario: Scenario,
     graph: BehaviorGraph,
     people: Pedestrians,
     memory: GraphMemory,
-    limit: Int[Array, ""] | int,
+    outside: Bool[Array, "N"],
     key: Array,
-    time_step: float,
 ) -> tuple[Pedestrians, GraphMemory]:
-    """People who are at an entrance that is their goal leave, and at most one person comes in.
+    """People, one of whom may come in at an entrance. Arrivals are a Poisson process.
+
+    Who finds the floor full, or somebody in the entrance, goes away.
 
     Args:
-        limit: the most people at once.
-        time_step: s, of control.
+        outside: who may come in.
     """
-    assert memory.trip is not None
-    gap = memory.target - people.position
-    is_exit = (graph.entrance[memory.goal] > 0.0) & (memory.seat < 0) & (memory.hop == memory.goal)
-    has_gone_in = memory.trip.visited[:, 0] >= 0
-    leaves = people.present & is_exit & has_gone_in & (length(gap[:, 0], gap[:, 1]) < ARRIVED)
-    present = people.present & ~leaves
-
-    # Arrivals are a Poisson process; who finds the floor full, or somebody in the entrance, goes away.
     arrive_key, node_key, place_key = jax.random.split(key, 3)
-    rate = jnp.sum(graph.entrance)
-    arrives = jax.random.uniform(arrive_key, (), float) < 1.0 - jnp.exp(-rate * time_step)
-    cumulative = jnp.cumsum(graph.entrance)[None, :]
-    node = first_above(cumulative, jax.random.uniform(node_key, (1,), float), graph.entrance.shape[0])[0]
+    rate = jnp.sum(graph.entrance)  # people/s
+    arrives = jax.random.uniform(arrive_key, (), float) < 1.0 - jnp.exp(-rate * scenario.time_step)
+    share = jax.random.uniform(node_key, (1,), float)
+    node = first_above(jnp.cumsum(graph.entrance)[None, :], share, graph.entrance.shape[0])[0]
     index = jax.random.randint(place_key, (), 0, graph.places.shape[1], jnp.int32)
-    place = graph.places[node, index]
-    to_others = people.position - place
-    near = present & (length(to_others[:, 0], to_others[:, 1]) < 0.6)
-    person = jnp.arange(people.present.shape[0], dtype=jnp.int32)
-    outside = ~people.present & (person < limit)  # for a step at least
-    comes = arrives & (rate > 0.0) & outside.any() & ~near.any()
-    is_new = comes & (person == jnp.argmax(outside))
+    place = graph.places[node, index]  # (2,) m
 
-    # A new person stands in the entrance and chooses a goal in the next step.
+    # The numbers of people who are never present are the last ones.
+    person = jnp.arange(scenario.people, dtype=jnp.int32)
+    limit = scenario.people if scenario.people_present is None else scenario.people_present
+    may_come = outside & (person < limit)
+    gap = people.position - place
+    is_near = people.present & (length(gap[:, 0], gap[:, 1]) < ENTRANCE_GAP)
+    comes = arrives & (rate > 0.0) & may_come.any() & ~is_near.any()
+    is_new = comes & (person == jnp.argmax(may_come))
+    return _place(people, memory, is_new, node, place)
+
+
+def _place(
+    people: Pedestrians, memory: GraphMemory, is_new: Bool[Array, "N"], node: Int[Array, ""], place: Float[Array, "2"]
+) -> tuple[Pedestrians, GraphMemory]:
+    """People, the new ones of whom stand at a place [m] of a node and choose a goal in the next step."""
+    assert memory.trip is not None
     column = is_new[:, None]
     people = replace(
         people,
-        present=present | is_new,
+        present=people.present | is_new,
         position=jnp.where(column, place, people.position),
-        velocity=jnp.where(column | leaves[:, None], 0.0, people.velocity),
+        velocity=jnp.where(column, 0.0, people.velocity),
         desired_velocity=jnp.where(column, 0.0, people.desired_velocity),
     )
-    trip = memory.trip._replace(
-        errand=jnp.where(is_new, 1, jnp.where(leaves, 0, memory.trip.errand)),
+    trip = TripMemory(
+        errand=jnp.where(is_new, 1, memory.trip.errand),
         visited=jnp.where(column, -1, memory.trip.visited),
         intent=jnp.where(column, 0.0, memory.trip.intent),
         blocked=jnp.where(is_new, 0.0, memory.trip.blocked),

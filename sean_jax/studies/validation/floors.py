@@ -68,9 +68,7 @@ def shipped(context: CheckContext, environment: str, seconds: float = 120.0) -> 
     return _result({environment: liveliness(observe(scenario, seconds)[0])})
 
 
-def worlds(
-    context: CheckContext, families: Sequence[str], crowd: float = 1.0, seconds: float = 90.0
-) -> CheckResult:
+def worlds(context: CheckContext, families: Sequence[str], crowd: float = 1.0, seconds: float = 90.0) -> CheckResult:
     """People on a generated floor of each family, ``crowd`` times as many as it has by default."""
     measured = {}
     with tempfile.TemporaryDirectory() as folder:

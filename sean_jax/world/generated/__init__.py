@@ -369,7 +369,7 @@ def _world(
 
 
 def _entrances(family: str, floor: Floor) -> np.ndarray:
-    """Places (K, 2) [m] a step inside the floor where people come in and leave, each twice: a place of two is a node."""
+    """Places (K, 2) [m] a step inside the floor where people come in and leave, each twice: two make a node."""
     corner = np.array([floor.width, floor.depth])
     places = np.clip(np.array(ENTRANCES[family]) * corner, ENTRANCE_MARGIN, corner - ENTRANCE_MARGIN)
     return np.repeat(places, 2, axis=0)

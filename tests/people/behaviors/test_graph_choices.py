@@ -220,7 +220,7 @@ def test_choices_of_a_graph_are_refused_elsewhere():
     for option, value in (("routing", "edge"), ("congestion_cost", 2.0)):
         with pytest.raises(ValueError, match=f"{option}: behavior 'random' has no such option; choose .*'graph'"):
             sean_jax.make("lab", behavior="random", task="random_ab_nav", **{option: value})
-    with pytest.raises(ValueError, match="routing: 'hole' is not one of whole, edge; did you mean 'whole'?"):
+    with pytest.raises(ValueError, match="routing: 'hole' is not one of trips, whole, edge; did you mean 'whole'?"):
         sean_jax.make("lab", routing="hole")
     for value in (-1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="congestion_cost: .* must be from 0 to "):
