@@ -22,6 +22,7 @@ MODELS: dict[str, type[pydantic.BaseModel]] = {
     "`graph.yaml`": graph.Annotation,
     "`nodes.NAME`": graph.Node,
     "`edges[]`": graph.Edge,
+    "`trips`": graph.Trips,
     "`handcrafted.yaml`": handcrafted.HandcraftedAnnotation,
     "`further.NAME`": handcrafted.Collection,
     "`sets.NAME`": handcrafted.Set,

@@ -226,9 +226,11 @@ def kept_out(u, distance, normal, p, dt):
     return u * min([1.0, *(allowed[approach > allowed] / approach[approach > allowed])])
 
 
-def turned(heading, u, p, dt):
-    """The heading (2,) after a step with the velocity u (2,)."""
-    if length(u) <= 0.1:
+def turned(heading, u, desired, p, dt):
+    """The heading (2,) after a step with the velocity u (2,), towards it or, with ``facing``, also the desired one."""
+    facing = p["walking"]["facing"]
+    u = u if facing is None else u + facing * desired
+    if length(u) <= (0.1 if facing is None else 0.4):
         return heading
     turn = np.arctan2(heading[0] * u[1] - heading[1] * u[0], heading @ u)
     turn = np.clip(turn, -p["walking"]["turn_rate"] * dt, p["walking"]["turn_rate"] * dt)
@@ -322,7 +324,7 @@ def step(x, v, heading, desired, preferred, boxes, p, dt, walking_groups=(), **o
         u = kept_out(u, *walls, p, dt) if walls is not None else u
         new_v[i], new_x[i] = u, x[i] + u * dt
         standing = "group" in others and stands(others["group"][i], desired[i])
-        new_heading[i] = heading[i] if standing else turned(heading[i], u, p, dt)
+        new_heading[i] = heading[i] if standing else turned(heading[i], u, desired[i], p, dt)
     return new_x, new_v, new_heading
 
 

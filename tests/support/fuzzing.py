@@ -110,7 +110,6 @@ READERS = {
 """Kind -> the functions that read it, as FILE FUNCTION. (Robots and bodies are read in ``files`` itself.)"""
 
 ELSEWHERE = {
-    "config/flags.py _file_value": "a word of the command line: test_flags",
     "web/local_server.py parse": "messages of test_hostile",
     "ros/rosbridge.py Server._handle": "messages of test_hostile",
     "web/studio/editor.py Editor._take": "a graph or sets, as load_graph and load_handcrafted",

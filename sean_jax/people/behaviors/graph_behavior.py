@@ -62,6 +62,7 @@ class GraphTables:
     start_log_chance: Float[Array, "P"] = struct.field(metadata={"pad": -np.inf})
     congestion_cost: Float[Array, ""] | None  # m2, see ``add_congestion_cost``; None: none
     temperature: Float[Array, ""] | None  # m, see ``graph_choices``; None: people take the cheapest way
+    bearings: trips.Bearings | None  # of trips
     spawn_clusters: Int[Array, "C 3"] = struct.field(metadata={"pad": -1})  # neighboring starts, for walking groups
     first_seats: Int[Array, "F"]  # seats at which people start
     seated: Int[Array, ""]  # number of these
@@ -138,6 +139,7 @@ def build(
         # None leaves a term out of the compiled program, which a value of 0 would not.
         congestion_cost=to_device(np.asarray(congestion_cost)) if congestion_cost else None,
         temperature=to_device(np.asarray(temperature)) if temperature else None,
+        bearings=trips.bearings(graph) if routing == "trips" else None,
         spawn_clusters=to_device(find_spawn_clusters(place.navigation, start, groups)),
         walking_groups=groups,
         first_seats=to_device(np.array(first_seats, np.int32)),
@@ -319,8 +321,7 @@ def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
     seats = seats_of(memory, tables.patience, scenario.time_step)
     arrival = graph_choices.arrival_times(graph, tables.walk, people, memory)
     state = replace(state, memory=memory)
-    memory = _choose_trips(graph, state, seats, arrival, rises | done, chance, draws)
-    memory = trips.give_up(graph, people, memory, chance.back, scenario.time_step)
+    memory = _choose_trips(scenario, graph, state, seats, arrival, rises | done, chance, draws)
 
     # A walking group has one goal: its members copy the leader's choice.
     if scenario.behavior.companions is not None:
@@ -351,6 +352,7 @@ class TripChances(NamedTuple):
 
 
 def _choose_trips(
+    scenario: Scenario,
     graph: BehaviorGraph,
     state: State,
     seats: Seats,
@@ -359,7 +361,7 @@ def _choose_trips(
     chance: TripChances,
     draws: Draws | None,
 ) -> GraphMemory:
-    """Next goals of people who are free, and next nodes of those who pass one.
+    """Next goals of people who are free or give theirs up, and next nodes of those who pass one.
 
     Seats without a successor come first, then waypoints by their weights. Nobody is sent back the way they come from.
 
@@ -367,22 +369,44 @@ def _choose_trips(
         arrival: s, of ``graph_choices.arrival_times``.
         free: people without a goal.
     """
-    people, memory = state.pedestrians, state.memory
-    goal_before = memory.goal
+    tables: GraphTables = scenario.behavior.data
+    people = state.pedestrians
+    memory, gives_up = trips.wait(people, state.memory, scenario.time_step)
     onward = free | trips.passes(graph, people, memory)
-    seekers = onward & people.present & (people.walking_group < 0)
-    barred = trips.barred_groups(graph, memory)
+
+    # A few people choose in a step. A successor whose seat another person got is among them, now or later.
+    has_lost_seat = graph.is_group[memory.goal] & (memory.seat < 0) & (memory.stay == 0)
+    few = trips.choosers((onward | gives_up | has_lost_seat) & people.present)
+    chosen = few.memory(memory)
+    known = tables.bearings if tables.congestion_cost is None else None
+    bearing = trips.bearings(graph) if known is None else known
+    barred = trips.barred_groups(graph, chosen, bearing)
+    barred = barred[few.row] | ~few.chooses[:, None]  # (N, G)
+    seekers = onward & few.chooses & (people.walking_group < 0)
     memory, loses = graph_choices.send(graph, arrival, memory, seats, seekers, draws, barred)
-    aimless = (free & (memory.seat < 0)) | loses
-    drawn = trips.draw_goal(graph, trips.goal_odds(graph, memory), chance.goal)
-    goal = jnp.where(aimless, drawn, memory.goal)
-    memory = trips.remember(memory._replace(goal=goal), goal_before, goal != goal_before)
+
+    # The goal of people who have no seat.
+    is_sent = few.rows(memory.seat) != chosen.seat
+    chosen = trips.remember(chosen, chosen.goal, is_sent)
+    former = chosen.goal
+    chosen = chosen._replace(seat=few.rows(memory.seat), goal=few.rows(memory.goal), log_chance=memory.log_chance)
+    aimless = few.exists & few.rows(free | has_lost_seat | loses) & (chosen.seat < 0)
+    drawn, log_chance = trips.draw_goal(graph, trips.goal_odds(graph, chosen, bearing), few.rows(chance.goal))
+    if draws is not None:
+        chosen = chosen.with_choices(jnp.sum(jnp.where(aimless, log_chance, 0.0)))
+    chosen = trips.remember(chosen._replace(goal=jnp.where(aimless, drawn, chosen.goal)), former, aimless)
 
     # The next node of the path, and a place there.
-    memory = graph_choices.set_out(graph, memory, onward, chance.place, draws)
-    place = trips.place_on_the_way(graph, people, state.robot, memory, chance.place)
-    to_seat = (memory.seat >= 0) & (memory.hop == memory.goal)
-    return memory._replace(target=jnp.where((onward & ~to_seat)[:, None], place, memory.target))
+    goes_on = few.exists & few.rows(onward)
+    position = few.rows(people.position)
+    few_draws = None if draws is None else draws._replace(hop=few.rows(draws.hop))
+    chosen = graph_choices.set_out(graph, chosen, goes_on, few.rows(chance.place), few_draws)
+    place = trips.place_on_the_way(graph, position, state.robot, chosen, few.rows(chance.place))
+    to_seat = (chosen.seat >= 0) & (chosen.hop == chosen.goal)
+    chosen = chosen._replace(target=jnp.where((goes_on & ~to_seat)[:, None], place, chosen.target))
+    chosen = trips.end_errands(chosen, goes_on)
+    chosen = trips.turn_round(graph, position, chosen, few.rows(chance.back), few.rows(gives_up))
+    return few.update(memory, chosen)
 
 
 def _turn_into_seats(scenario: Scenario, people: Pedestrians, memory: GraphMemory) -> Pedestrians:

@@ -10,11 +10,12 @@ before they are at a node. Recorded people walk in this way (``sean validate``, 
 """
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Bool, Float, Int
+from flax import struct
+from jaxtyping import Bool, Float, Int, Shaped
 
 from sean_jax.core.data_types import Array, Pedestrians, Robot, Scenario
 from sean_jax.core.geometry import length, unit
@@ -39,7 +40,52 @@ TURNS_BACK = 1e-6  # odds of a goal for which a person would turn back
 MAX_CUT = 2.5  # m before a node, where a person who turns there turns at the earliest
 ENTRANCE_GAP = 0.6  # m, to others, of a person who comes in
 MISSED = 3.0  # m from a place that a person has passed by
+OF_PERSON = "goal", "hop", "origin", "target", "seat", "stay"  # fields of ``GraphMemory`` with a row a person
+MIN_CHOOSERS = 8  # people who choose in one step
+PEOPLE_PER_CHOOSER = 8  # in larger crowds
 CANDIDATES = 4  # places of a node, of which a person takes the one on the way
+
+
+class Choosers(NamedTuple):
+    """The people who choose in a step: a few, so that nothing is computed for those who only walk."""
+
+    person: Int[Array, "K"]
+    exists: Bool[Array, "K"]  # fewer people may choose; the other rows are of anybody
+    row: Int[Array, "N"]  # of each person among the choosers
+    chooses: Bool[Array, "N"]
+
+    def rows(self, values: Shaped[Array, "N *shape"]) -> Shaped[Array, "K *shape"]:
+        """The values of the choosers."""
+        return values[self.person]
+
+    def memory(self, memory: GraphMemory) -> GraphMemory:
+        """The memory of the choosers."""
+        assert memory.trip is not None
+        people = {name: self.rows(getattr(memory, name)) for name in OF_PERSON}
+        return memory._replace(**people, trip=jax.tree.map(self.rows, memory.trip))
+
+    def update(self, memory: GraphMemory, chosen: GraphMemory) -> GraphMemory:
+        """The memory of all people, with that of the choosers."""
+
+        def new(rows: Array, old: Array) -> Array:
+            chooses = self.chooses.reshape((-1,) + (1,) * (old.ndim - 1))
+            return jnp.where(chooses, rows[self.row], old)
+
+        people = {name: new(getattr(chosen, name), getattr(memory, name)) for name in OF_PERSON}
+        trip = jax.tree.map(new, chosen.trip, memory.trip)
+        return memory._replace(**people, trip=trip, log_chance=chosen.log_chance)
+
+
+def choosers(candidates: Bool[Array, "N"]) -> Choosers:
+    """The first candidates. Others choose in the next step."""
+    people = candidates.shape[0]
+    limit = min(people, max(MIN_CHOOSERS, people // PEOPLE_PER_CHOOSER))
+    rank = jnp.cumsum(candidates, dtype=jnp.int32) - 1
+    chooses = candidates & (rank < limit)
+    row = jnp.clip(rank, 0, max(limit - 1, 0))
+    is_chooser = chooses[None, :] & (rank[None, :] == jnp.arange(limit, dtype=jnp.int32)[:, None])  # (K, N)
+    person = jnp.argmax(is_chooser, axis=1).astype(jnp.int32)
+    return Choosers(person, is_chooser.any(1), row, chooses)
 
 
 def begin(memory: GraphMemory, people: int) -> TripMemory:
@@ -69,6 +115,8 @@ def advance_errands(
 ) -> tuple[GraphMemory, Bool[Array, "N"]]:
     """Errands that begin, go on or end; and whether people have done theirs. Beside a robot nobody has one for long.
 
+    The last tick of an errand lasts until the person chooses a goal.
+
     Args:
         chance: uniform from 0 to 1.
         time_step: s, of control.
@@ -88,15 +136,23 @@ def advance_errands(
     limits = graph.errand[memory.goal]  # (N, 2) s
     duration = limits[:, 0] + chance * (limits[:, 1] - limits[:, 0])
     ticks = jnp.maximum(jnp.ceil(duration / time_step).astype(jnp.int32), 1)
-    errand = jnp.where(begins, ticks, jnp.maximum(errand - 1, 0))
+    waiting = jnp.where(errand > 0, jnp.maximum(errand - 1, 1), 0)
+    errand = jnp.where(begins, ticks, waiting)
     soon = round(HURRY / time_step)
     errand = jnp.where(_beside(people.position, robot), jnp.minimum(errand, soon), errand)
     return memory._replace(trip=memory.trip._replace(errand=errand)), done
 
 
+def end_errands(memory: GraphMemory, goes_on: Bool[Array, "N"]) -> GraphMemory:
+    """The memory without the errands of people who go on."""
+    assert memory.trip is not None
+    errand = jnp.where(goes_on, 0, memory.trip.errand)
+    return memory._replace(trip=memory.trip._replace(errand=errand))
+
+
 def _beside(points: Float[Array, "*batch 2"], robot: Robot) -> Bool[Array, "*batch"]:
     """Whether points [m] are so near to a robot that nobody stops there."""
-    robots = jnp.reshape(robot.position, (-1, 2))
+    robots = jnp.reshape(robot.position, (*(1,) * (points.ndim - 1), -1, 2))  # (..., M, 2) m
     gap = points[..., None, :] - robots
     return (length(gap[..., 0], gap[..., 1]) < BESIDE_ROBOT).any(-1)
 
@@ -126,27 +182,43 @@ def _next_node(graph: BehaviorGraph, memory: GraphMemory) -> Int[Array, "N"]:
     return jnp.where(node >= 0, node, memory.hop)
 
 
-def turns_back(graph: BehaviorGraph, memory: GraphMemory, goals: Int[Array, "K"]) -> Bool[Array, "N K"]:
+@struct.dataclass
+class Bearings:
+    """Directions from each node to the first node on the way to others, unit vectors."""
+
+    to_waypoints: Float[Array, "M Mw 2"]
+    to_groups: Float[Array, "M G 2"]
+
+
+def bearings(graph: BehaviorGraph) -> Bearings:
+    """The directions in which people set out."""
+
+    def to(goals: Int[Array, "K"]) -> Float[Array, "M K 2"]:
+        first = graph.next_hop[:, goals]  # (M, K)
+        first = jnp.where(first >= 0, first, goals[None, :])
+        way = graph.position[first] - graph.position[:, None]  # (M, K, 2) m
+        return jnp.stack(unit(way[..., 0], way[..., 1]), -1)
+
+    return Bearings(to(graph.waypoints), to(graph.groups))
+
+
+def turns_back(memory: GraphMemory, bearing: Float[Array, "M K 2"]) -> Bool[Array, "N K"]:
     """Whether people would turn back at their next node to go to each of some nodes. Who stands may go anywhere."""
     assert memory.trip is not None
-    intent = memory.trip.intent
-    x, y = unit(intent[:, 0], intent[:, 1])
-    first = graph.next_hop[memory.hop[:, None], goals[None, :]]  # (N, K)
-    first = jnp.where(first >= 0, first, goals[None, :])
-    way = graph.position[first] - graph.position[memory.hop][:, None]  # (N, K, 2) m
-    way_x, way_y = unit(way[..., 0], way[..., 1])
+    x, y = unit(memory.trip.intent[:, 0], memory.trip.intent[:, 1])
+    way = bearing[memory.hop]  # (N, K, 2)
     walks = (memory.trip.errand == 0) & (memory.stay == 0)
-    return walks[:, None] & (x[:, None] * way_x + y[:, None] * way_y < BACK)
+    return walks[:, None] & (x[:, None] * way[..., 0] + y[:, None] * way[..., 1] < BACK)
 
 
-def barred_groups(graph: BehaviorGraph, memory: GraphMemory) -> Bool[Array, "N G"]:
+def barred_groups(graph: BehaviorGraph, memory: GraphMemory, bearing: Bearings) -> Bool[Array, "N G"]:
     """The groups that people have just visited, or for which they would turn back."""
     assert memory.trip is not None
     recent = (memory.trip.visited[:, :, None] == graph.groups[None, None, :]).any(1)
-    return recent | turns_back(graph, memory, graph.groups)
+    return recent | turns_back(memory, bearing.to_groups)
 
 
-def goal_odds(graph: BehaviorGraph, memory: GraphMemory) -> Float[Array, "N Mw"]:
+def goal_odds(graph: BehaviorGraph, memory: GraphMemory, bearing: Bearings) -> Float[Array, "N Mw"]:
     """The odds with which people draw each waypoint as their next goal."""
     assert memory.trip is not None
     waypoints = graph.waypoints[None, :]
@@ -157,13 +229,17 @@ def goal_odds(graph: BehaviorGraph, memory: GraphMemory) -> Float[Array, "N Mw"]
     has_errand = (graph.errand[:, 1] > 0.0) | (graph.entrance > 0.0)
     odds = jnp.where(has_errand[graph.waypoints][None, :], odds, RECENT * odds)
     odds = jnp.where(recent, RECENT * odds, odds)
-    return jnp.where(turns_back(graph, memory, graph.waypoints), TURNS_BACK * odds, odds)
+    return jnp.where(turns_back(memory, bearing.to_waypoints), TURNS_BACK * odds, odds)
 
 
-def draw_goal(graph: BehaviorGraph, odds: Float[Array, "N Mw"], chance: Float[Array, "N"]) -> Int[Array, "N"]:
-    """A waypoint by its odds."""
+def draw_goal(
+    graph: BehaviorGraph, odds: Float[Array, "N Mw"], chance: Float[Array, "N"]
+) -> tuple[Int[Array, "N"], Float[Array, "N"]]:
+    """A waypoint by its odds, and the log of its chance."""
     n_waypoints = (graph.waypoints >= 0).sum(dtype=jnp.int32)
-    return graph.waypoints[first_above(jnp.cumsum(odds, axis=1), chance, n_waypoints)]
+    index = first_above(jnp.cumsum(odds, axis=1), chance, n_waypoints)
+    chosen = jnp.take_along_axis(odds, index[:, None], axis=1)[:, 0]
+    return graph.waypoints[index], jnp.log(jnp.maximum(chosen / jnp.maximum(jnp.sum(odds, axis=1), 1e-30), 1e-30))
 
 
 def remember(memory: GraphMemory, goal: Int[Array, "N"], changed: Bool[Array, "N"]) -> GraphMemory:
@@ -175,7 +251,11 @@ def remember(memory: GraphMemory, goal: Int[Array, "N"], changed: Bool[Array, "N
 
 
 def place_on_the_way(
-    graph: BehaviorGraph, people: Pedestrians, robot: Robot, memory: GraphMemory, chance: Float[Array, "N"]
+    graph: BehaviorGraph,
+    position: Float[Array, "N 2"],
+    robot: Robot,
+    memory: GraphMemory,
+    chance: Float[Array, "N"],
 ) -> Float[Array, "N 2"]:
     """Of a few places [m] of the next node's disc the one with the shortest way over it; at a goal any place.
 
@@ -184,7 +264,7 @@ def place_on_the_way(
     places = _some_places(graph, memory.hop, chance)  # (N, K, 2) m
 
     # At a goal nothing lies beyond, so the first place is as good as any.
-    to_place = places - people.position[:, None]
+    to_place = places - position[:, None]
     beyond = graph.position[_next_node(graph, memory)][:, None] - places
     detour = length(to_place[..., 0], to_place[..., 1]) + length(beyond[..., 0], beyond[..., 1])
     beside = jnp.argmin(_beside(places, robot), axis=1)  # the first place that is not
@@ -243,14 +323,8 @@ def change_intent(
     return memory._replace(trip=memory.trip._replace(intent=intent)), intent
 
 
-def give_up(
-    graph: BehaviorGraph,
-    people: Pedestrians,
-    memory: GraphMemory,
-    chance: Float[Array, "N"],
-    time_step: float,
-) -> GraphMemory:
-    """People whose way is blocked go back to a waypoint, and choose another goal after an errand there."""
+def wait(people: Pedestrians, memory: GraphMemory, time_step: float) -> tuple[GraphMemory, Bool[Array, "N"]]:
+    """The memory with the time for which people have not got on, and whether they give their goal up."""
     assert memory.trip is not None
     intent = memory.trip.intent
     wanted = length(intent[:, 0], intent[:, 1])
@@ -259,28 +333,44 @@ def give_up(
     is_held_up = walks & (wanted > MIN_WANTED) & (progress < PROGRESS * wanted)
     change = jnp.where(is_held_up, time_step, -2.0 * time_step)
     blocked = jnp.maximum(memory.trip.blocked + change, 0.0)
+    return memory._replace(trip=memory.trip._replace(blocked=blocked)), walks & (blocked > PATIENCE)
 
-    # To the nearest waypoint behind, and there to the place that is farthest from what is in the way.
-    gives_up = walks & (blocked > PATIENCE)
-    node = _waypoint_behind(graph, people, intent)
-    places = _some_places(graph, node, chance)
-    gap = places - people.position[:, None]
+
+def turn_round(
+    graph: BehaviorGraph,
+    position: Float[Array, "N 2"],
+    memory: GraphMemory,
+    chance: Float[Array, "N"],
+    gives_up: Bool[Array, "N"],
+) -> GraphMemory:
+    """People who give up go to the nearest waypoint behind, for an errand as far as possible from what is in the way.
+
+    Args:
+        position: m.
+        chance: uniform from 0 to 1.
+    """
+    assert memory.trip is not None
+    node = _waypoint_behind(graph, position, memory.trip.intent)
+    places = _some_places(graph, node, chance)  # (N, K, 2) m
+    gap = places - position[:, None]
     farthest = jnp.argmax(length(gap[..., 0], gap[..., 1]), axis=1)
     place = jnp.take_along_axis(places, farthest[:, None, None], axis=1)[:, 0]
     memory = remember(memory, memory.goal, gives_up)
-    trip = memory.trip._replace(blocked=jnp.where(gives_up, 0.0, blocked))  # pyright: ignore[reportOptionalMemberAccess]
+    assert memory.trip is not None
     return memory._replace(
         goal=jnp.where(gives_up, node, memory.goal),
         hop=jnp.where(gives_up, node, memory.hop),
         target=jnp.where(gives_up[:, None], place, memory.target),
         seat=jnp.where(gives_up, -1, memory.seat),
-        trip=trip,
+        trip=memory.trip._replace(blocked=jnp.where(gives_up, 0.0, memory.trip.blocked)),
     )
 
 
-def _waypoint_behind(graph: BehaviorGraph, people: Pedestrians, intent: Float[Array, "N 2"]) -> Int[Array, "N"]:
+def _waypoint_behind(
+    graph: BehaviorGraph, position: Float[Array, "N 2"], intent: Float[Array, "N 2"]
+) -> Int[Array, "N"]:
     """The nearest waypoint that does not lie ahead of people who want a velocity [m/s]; the nearest if all do."""
-    gap = graph.position[graph.waypoints][None, :] - people.position[:, None]  # (N, Mw, 2) m
+    gap = graph.position[graph.waypoints][None, :] - position[:, None]  # (N, Mw, 2) m
     distance = length(gap[..., 0], gap[..., 1])
     ahead = (gap * intent[:, None]).sum(-1) > 0.0
     distance = jnp.where(ahead, distance + AHEAD, distance)
@@ -332,7 +422,7 @@ def come_in(
     person = jnp.arange(scenario.people, dtype=jnp.int32)
     limit = scenario.people if scenario.people_present is None else scenario.people_present
     may_come = outside & (person < limit)
-    gap = people.position - place
+    gap = people.position - place[None, :]
     is_near = people.present & (length(gap[:, 0], gap[:, 1]) < ENTRANCE_GAP)
     comes = arrives & (rate > 0.0) & may_come.any() & ~is_near.any()
     is_new = comes & (person == jnp.argmax(may_come))
@@ -348,7 +438,7 @@ def _place(
     people = replace(
         people,
         present=people.present | is_new,
-        position=jnp.where(column, place, people.position),
+        position=jnp.where(column, place[None, :], people.position),
         velocity=jnp.where(column, 0.0, people.velocity),
         desired_velocity=jnp.where(column, 0.0, people.desired_velocity),
     )
@@ -362,7 +452,7 @@ def _place(
         goal=jnp.where(is_new, node, memory.goal),
         hop=jnp.where(is_new, node, memory.hop),
         origin=jnp.where(is_new, node, memory.origin),
-        target=jnp.where(column, place, memory.target),
+        target=jnp.where(column, place[None, :], memory.target),
         seat=jnp.where(is_new, -1, memory.seat),
         stay=jnp.where(is_new, 0, memory.stay),
         trip=trip,

@@ -29,7 +29,7 @@ from support.benchmark_results import columns, entry, place, smaller
 def test_the_protocol_is_frozen(tmp_path):
     """Where this fails, episodes are others than those of published results: raise ``benchmark.VERSION``."""
     assert (benchmark.VERSION, benchmark.protocol_digest(), benchmark.EPISODES, benchmark.SEED) == (
-        3,
+        4,
         benchmark.CONTENT,
         5_040,
         20_260,
@@ -91,7 +91,7 @@ def test_figures_are_means_over_all_tracks():
 
 def test_a_package_of_another_protocol_runs_nothing(monkeypatch, tmp_path):
     monkeypatch.setattr(benchmark, "CONTENT", "0" * 16)
-    with pytest.raises(InputError, match="have the digest .* and protocol 3 has 0000"):
+    with pytest.raises(InputError, match="have the digest .* and protocol 4 has 0000"):
         benchmark.run(BenchmarkConfig(policy="go_to_goal", out=tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 
@@ -145,7 +145,7 @@ def test_results_are_ranked(ranked, tmp_path, capsys):
         result = benchmark.check(ranked[row.entry.name == "orca"])
         assert float(row.of["all"].mean) == pytest.approx(result.scores.figures["polite"].mean, abs=1e-4)
         np.testing.assert_allclose(row.violations.mean, result.scores.violations_per_minute.mean, atol=1e-4)
-        assert benchmark.table(result).startswith(f"{row.entry.name} · all-knowing · protocol 3 · 2 tracks x 20")
+        assert benchmark.table(result).startswith(f"{row.entry.name} · all-knowing · protocol 4 · 2 tracks x 20")
     rows = (out / "ranking.csv").read_text(encoding="utf-8").splitlines()
     assert rows[0] == "class,first_rank,last_rank,policy,results,tracks,polite_percent,low,high"
     assert len(rows) == 1 + 2 * 2 and {row.split(",")[5] for row in rows[1:]} == {"all", "floor"}
@@ -173,7 +173,7 @@ def test_results_are_ranked(ranked, tmp_path, capsys):
         (of("policy", "ppo"), "policy_digest .* is not that of ppo of this package"),
         (of("policy", ["ppo"]), "policy: .* is not text"),
         (of("scores", 3), "scores: 3 is not a mapping"),
-        (of("protocol", 4), r"is of protocol 4 \(.*\), not 3"),
+        (of("protocol", 3), r"is of protocol 3 \(.*\), not 4"),
         (of("sensing", "tracks"), "sensing tracks is not that of go_to_goal of this package, all-knowing"),
         (of("sensing", "eyes"), "sensing: 'eyes' is not one of"),
         (of("recordings", {"eth.csv": "0" * 64}), "recordings lack, or should not have, eth.csv"),

@@ -1,0 +1,243 @@
+"""Trips on the Behavior Graph: errands, entrances, curves, and people who give up."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import yaml
+
+import sean_jax
+from sean_jax.core.errors import FileError
+from sean_jax.graph import annotation
+from sean_jax.io import files
+from sean_jax.people.behaviors import graph_choices, trips
+from sean_jax.simulation.scenario import direct_pedestrians, move_pedestrians
+from sean_jax.studies.validation.floor_measures import Observed, liveliness
+from support import graphs
+
+STEPS = 900
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return sean_jax.make("lab", behavior="graph", routing="trips", task="random_ab_nav", dynamics="twin")
+
+
+def walk(scenario, key, steps, robot=(100.0, 100.0)):
+    """States of people beside a robot that stands somewhere, one a step."""
+    state = sean_jax.reset(scenario, key)
+    here = jnp.asarray(robot, jnp.float32)
+    state = replace(state, robot=scenario.robot.place(scenario.robot, here, state.robot.heading))
+
+    def one(state, _):
+        key = jax.random.fold_in(state.streams.people, state.tick)
+        after = move_pedestrians(scenario, direct_pedestrians(scenario, state, key))
+        return replace(after, tick=state.tick + 1), (after.pedestrians, after.memory)
+
+    return jax.lax.scan(one, state, length=steps)[1]
+
+
+@pytest.fixture(scope="module")
+def history(lab):
+    """People and memories (3, T, ...) of three episodes in the lab."""
+    run = jax.jit(jax.vmap(lambda key: walk(lab, key, STEPS)))
+    return jax.tree.map(np.asarray, run(jax.random.split(jax.random.key(3), 3)))
+
+
+def test_people_come_in_and_leave_at_the_entrance_alone(lab, history):
+    people, _ = history
+    graph = lab.behavior.data.graph
+    (hall,) = np.flatnonzero(np.asarray(graph.entrance) > 0.0)
+    center, radius = np.asarray(graph.position)[hall], float(graph.radius[hall])
+    before, after = people.present[:, :-1], people.present[:, 1:]
+    comes, leaves = ~before & after, before & ~after
+    assert comes.sum() >= 3 and leaves.sum() >= 3
+    entered = people.position[:, 1:][comes]
+    left = people.position[:, :-1][leaves]
+    assert (np.linalg.norm(entered - center, axis=-1) <= radius + 0.2).all()
+    assert (np.linalg.norm(left - center, axis=-1) <= radius + graph_choices.ARRIVED + 0.2).all()
+    assert (people.present.sum(-1) <= lab.people).all()
+
+
+def test_errands_last_as_drawn_where_people_stand(lab, history):
+    people, memory = history
+    errand = memory.trip.errand
+    limits = np.asarray(lab.behavior.data.graph.errand)[memory.goal]
+    begins = (errand[:, 1:] > 1) & (errand[:, :-1] == 0) & people.present[:, 1:]
+    seconds = errand[:, 1:][begins] * lab.time_step
+    low, high = np.moveaxis(limits[:, 1:][begins], -1, 0)
+    assert begins.sum() >= 5 and (seconds >= low).all() and (seconds <= high + lab.time_step + 1e-4).all()
+    assert (high[seconds > 5.0] > 5.0).all()
+    wanted = np.linalg.norm(people.desired_velocity, axis=-1)
+    long_errand = (errand[:, 40:] > 1) & (errand[:, :-40] > 1) & (errand[:, 40:] < errand[:, :-40])
+    assert (wanted[:, 40:][long_errand] < 0.05).all()
+
+
+def test_what_people_want_changes_gradually(history):
+    people, _ = history
+    change = np.linalg.norm(np.diff(people.desired_velocity, axis=1), axis=-1)
+    stays = people.present[:, 1:] & people.present[:, :-1]
+    bound = np.hypot(trips.MAX_CHANGE, trips.MAX_CHANGE) * 0.1
+    assert change[stays].max() <= bound + 1e-5
+    assert change[stays].max() > 0.5 * trips.CHANGE * 0.1
+
+
+def test_bodies_turn_into_their_seats(history, lab):
+    people, _ = history
+    heading = people.heading
+    cosine = (heading[:, 1:] * heading[:, :-1]).sum(-1)
+    stays = people.present[:, 1:] & people.present[:, :-1]
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))[stays]
+    assert angle.max() <= float(lab.forces.walking.turn_rate) * lab.time_step + 1e-2
+
+
+def test_people_hardly_turn_about(history, lab):
+    people, memory = history
+    standing = (people.group >= 0) | (memory.trip.errand > 0)
+    for k in range(3):
+        seen = Observed(people.position[k], people.present[k], standing[k], people.heading[k], lab.time_step)
+        values = liveliness(seen)
+        assert values.heading_jumps == 0 and not values.half_turns > 0.5
+        assert values.acceleration_p95 < 0.8
+
+
+def test_a_walking_person_is_not_sent_back(lab):
+    graph = lab.behavior.data.graph
+    door, corner = graph.names.index("door"), graph.names.index("corner")
+    memory = sean_jax.reset(lab, jax.random.key(0)).memory
+    people = lab.people
+    way = np.asarray(graph.position)[corner] - np.asarray(graph.position)[door]
+    ahead = jnp.tile(jnp.asarray(way / np.linalg.norm(way), jnp.float32), (people, 1))
+    at_corner = jnp.full(people, corner, jnp.int32)
+    walking = memory._replace(
+        hop=at_corner,
+        stay=jnp.zeros(people, jnp.int32),
+        trip=memory.trip._replace(intent=ahead, errand=jnp.zeros(people, jnp.int32)),
+    )
+    bearing = lab.behavior.data.bearings
+    back = np.asarray(trips.turns_back(walking, bearing.to_waypoints))
+    waypoints = np.asarray(graph.waypoints).tolist()
+    assert back[:, waypoints.index(door)].all()
+    standing = walking._replace(trip=walking.trip._replace(errand=jnp.ones(people, jnp.int32)))
+    assert not np.asarray(trips.turns_back(standing, bearing.to_waypoints)).any()
+    odds = np.asarray(trips.goal_odds(graph, walking, bearing))
+    assert (odds[:, waypoints.index(door)] < 1e-5 * odds.max(1)).all()
+
+
+def test_a_few_choose_in_a_step_and_the_others_in_the_next():
+    candidates = jnp.asarray(np.arange(40) % 2 == 1)
+    few = trips.choosers(candidates)
+    assert np.flatnonzero(few.chooses).tolist() == [1, 3, 5, 7, 9, 11, 13, 15] == few.person.tolist()
+    assert few.exists.all()
+    nobody = trips.choosers(jnp.zeros(40, bool))
+    assert not nobody.exists.any() and not nobody.chooses.any()
+    one = trips.choosers(jnp.arange(40) == 0)
+    assert one.exists.tolist() == [True] + [False] * 7
+
+
+def test_who_does_not_get_on_gives_up(lab):
+    state = sean_jax.reset(lab, jax.random.key(1))
+    memory = state.memory
+    n = lab.people
+    east = jnp.tile(jnp.array([1.0, 0.0]), (n, 1))
+    memory = memory._replace(
+        seat=jnp.full(n, -1, jnp.int32),
+        stay=jnp.zeros(n, jnp.int32),
+        trip=memory.trip._replace(intent=east, errand=jnp.zeros(n, jnp.int32)),
+    )
+    people = replace(state.pedestrians, velocity=jnp.zeros((n, 2)), present=jnp.ones(n, bool))
+    for _ in range(round(trips.PATIENCE / 0.1)):
+        memory, gives_up = trips.wait(people, memory, 0.1)
+        assert not np.asarray(gives_up).any() or np.asarray(memory.trip.blocked).min() > trips.PATIENCE - 0.05
+    memory, gives_up = trips.wait(people, memory, 0.1)
+    assert np.asarray(gives_up).all()
+
+    graph = lab.behavior.data.graph
+    after = trips.turn_round(graph, people.position, memory, jnp.full(n, 0.5), gives_up)
+    waypoint = np.asarray(graph.position)[np.asarray(after.goal)]
+    behind = waypoint[:, 0] < np.asarray(people.position)[:, 0]
+    all_ahead = (np.asarray(graph.position)[np.asarray(graph.waypoints), 0] > np.asarray(people.position)[:, :1]).all(1)
+    assert (behind | all_ahead).all() and (np.asarray(after.hop) == np.asarray(after.goal)).all()
+    moving, gives_up = trips.wait(replace(people, velocity=east), memory, 0.1)
+    assert (np.asarray(moving.trip.blocked) < np.asarray(memory.trip.blocked)).all()
+
+
+def test_trips_have_nodes_of_their_own(lab):
+    sean = sean_jax.make("lab", behavior="graph", routing="edge", task="random_ab_nav")
+    names = sean.behavior.data.graph.names
+    assert names == ("door", "corner", "meeting")
+    assert lab.behavior.data.graph.names == (*names, "hall", "desk", "board")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"n0": {"entrance": -1}}, "entrance"),
+        ({"n0": {"errand": [9, 5]}}, r"errand.*\[9, 5\] is not ordered"),
+        ({"g0": {"errand": [5, 9]}}, "errand.*only a waypoint has one"),
+        ({"g0": {"entrance": True}}, "entrance.*only a waypoint can be one"),
+        ({"n0": {"visit": [5, 9]}}, "visit.*only a group has one"),
+        ({"g0": {"visit": [9, 5]}}, r"visit.*\[9, 5\] is not ordered"),
+    ],
+)
+def test_mistakes_of_trips_are_told(tmp_path, change, message):
+    text = annotation.to_yaml(graphs.ring(1))
+    content = yaml.safe_load(text)
+    for name, fields in change.items():
+        content["nodes"][name] |= fields
+    yard = graphs.yard(tmp_path / "yard")
+    path = tmp_path / "graph.yaml"
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(FileError, match=message):
+        annotation.read_graph(path, yard)
+
+
+def test_mistakes_in_further_nodes_stand_where_they_are(tmp_path):
+    further = annotation.Trips(
+        nodes={"n0": annotation.Node(kind="waypoint", position=(1.0, 1.0), radius=1.0)},
+        edges=[annotation.Edge(between=("n0", "nowhere"))],
+    )
+    made = graphs.ring(0).model_copy(update={"trips": further})
+    path = tmp_path / "graph.yaml"
+    path.write_text(annotation.to_yaml(made))
+    with pytest.raises(FileError, match=r"trips.nodes.n0.*another node of that name(.|\n)*trips.edges\[?.?0"):
+        annotation.read_graph(path, graphs.yard(tmp_path / "yard"))
+
+
+def test_a_graph_with_trips_is_written_as_it_is_read(tmp_path):
+    further = annotation.Trips(
+        nodes={
+            "gate": annotation.Node(kind="waypoint", position=(1.0, 1.0), radius=1.0, entrance=0.5, errand=(1.0, 2.0)),
+            "door": annotation.Node(kind="waypoint", position=(-1.0, 1.0), radius=1.0, entrance=True),
+        },
+        edges=[annotation.Edge(between=("n0", "gate")), annotation.Edge(between=("gate", "door"))],
+    )
+    made = graphs.ring(2).model_copy(update={"trips": further})
+    path = tmp_path / "graph.yaml"
+    path.write_text(annotation.to_yaml(made))
+    read = files.load(path, annotation.Annotation, annotation.check)
+    assert read.with_trips().nodes == made.with_trips().nodes
+    assert annotation.to_yaml(read) == annotation.to_yaml(made)
+    graph = annotation.build_graph(read.with_trips(), None)
+    assert graph.entrance[graph.names.index("gate")] == 0.5
+    assert graph.entrance[graph.names.index("door")] == annotation.RATE
+    assert not annotation.build_graph(read, None).entrance.any()
+
+
+@pytest.mark.slow
+def test_gradients_are_finite():
+    scenario = sean_jax.make(
+        "warehouse", behavior="graph", routing="trips", people=24, walking_groups=(0.3, 0.0), dynamics="twin",
+        temperature=0.5, time_limit=10.0,
+    )  # fmt: skip
+    keys = jax.random.key(4)
+
+    def spread(strength):
+        walking = replace(scenario.forces.walking, speed_mean=strength)
+        people, memory = walk(replace(scenario, forces=scenario.forces.replace(walking=walking)), keys, 60)
+        return people.position.sum() + memory.log_chance[-1]
+
+    value, gradient = jax.value_and_grad(spread)(scenario.forces.walking.speed_mean)
+    assert np.isfinite(value) and np.isfinite(gradient)
