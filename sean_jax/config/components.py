@@ -209,8 +209,10 @@ class Family:
         if kind == "value":
             raise ValueError("was a Python value, which no file holds; write it into a Python file: my.py:thing")
         if not isinstance(kind, str):
-            kinds = f"there are {', '.join(self.kinds)}" if self.kinds else "give one of `sean list`"
-            raise ValueError(f"{shorten(repr(dict(value)))} has no kind; {kinds}")
+            mapping = shorten(repr(dict(value)))
+            if not self.kinds:
+                raise ValueError(f"{mapping} has no kind; give one of `sean list`")
+            raise ValueError(f"{mapping} has no kind; there are {', '.join(self.kinds)}")
         if not is_own_part(kind) and self.variant(kind) is None:
             raise ValueError(f"'{kind}' is not one of {', '.join(self.kinds)}{suggest(kind, self.kinds)}")
         return dict(value)

@@ -84,8 +84,9 @@ class Number:
         if self.or_infinity and isinstance(value, str | Real) and value in (math.inf, INFINITE):
             return math.inf
         if isinstance(value, bool) or not isinstance(value, Integral if kind is int else Real):
-            given = "an empty value" if value is None else shorten(repr(value))
-            raise ValueError(f"{given} is not a {'whole ' if kind is int else ''}number")
+            if value is None:
+                raise ValueError(f"an empty value is not a {'whole ' if kind is int else ''}number")
+            raise ValueError(f"{shorten(repr(value))} is not a {'whole ' if kind is int else ''}number")
         number = kind(value)  # pyright: ignore[reportArgumentType]
         if not self.low <= number <= self.high:
             least, most = (f"{limit:,}" if kind is int else f"{limit:,g}" for limit in (self.low, self.high))

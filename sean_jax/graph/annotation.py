@@ -140,23 +140,28 @@ def build_graph(annotation: Annotation, environment: Environment | None, seed: i
         environment: whose obstacles bound the places in the nodes' discs; None: all places are the centers.
         seed: draws the places.
     """
+    # The nodes, in the order of the file.
     nodes = list(annotation.nodes.values())
     position = np.array([node.position for node in nodes], np.float64)
     radius = np.array([node.radius for node in nodes], np.float64)
     is_group = np.array([node.kind == "group" for node in nodes], bool)
     capacity = np.array([node.capacity or 0 for node in nodes], np.int32)
+    groups = np.flatnonzero(is_group)
+
+    # Paths are found here once, in float64: a step of the behavior looks them up.
     flow, edge_cost = _edges(annotation, position)
     cost, next_hop = routes(edge_cost, is_group)
-    groups = np.flatnonzero(is_group)
+
+    # Each seat of a group is a row, because members come and go one by one.
     arrays = dict(
         position=position,
         radius=radius,
         is_group=is_group,
         capacity=capacity,
         stay=np.array([node.stay or (0.0, 0.0) for node in nodes], float),
-        visit=np.array([(node.visit or VISIT) if node.kind == "group" else (0.0, 0.0) for node in nodes], float),
+        visit=np.array([_visit(node) for node in nodes], float),
         errand=np.array([_errand(node) for node in nodes], float),
-        entrance=np.array([float(RATE if node.entrance is True else node.entrance) for node in nodes], float),
+        entrance=np.array([_entrance(node) for node in nodes], float),
         spawn=np.array([node.spawn for node in nodes], float),
         weight=np.array([0.0 if node.kind == "group" else _weight(node) for node in nodes], float),
         flow=flow,
@@ -174,6 +179,20 @@ def build_graph(annotation: Annotation, environment: Environment | None, seed: i
 
 def _weight(node: Node) -> float:
     return 1.0 if node.weight is None else node.weight
+
+
+def _visit(node: Node) -> tuple[float, float]:
+    """Limits [s] of the time in a group on trips; 0 at a waypoint."""
+    if node.kind == "waypoint":
+        return 0.0, 0.0
+    return node.visit or VISIT
+
+
+def _entrance(node: Node) -> float:
+    """People/s who come in at a node."""
+    if isinstance(node.entrance, bool):
+        return RATE if node.entrance else 0.0
+    return node.entrance
 
 
 def _errand(node: Node) -> tuple[float, float]:
@@ -459,7 +478,8 @@ def _node_fields(node: Node) -> str:
     if node.errand is not None:
         fields.append(f"errand: {_sequence(node.errand)}")
     if node.entrance:
-        fields.append("entrance: true" if node.entrance is True else f"entrance: {node.entrance:.9g}")
+        is_plain = isinstance(node.entrance, bool)
+        fields.append("entrance: true" if is_plain else f"entrance: {node.entrance:.9g}")
     return ", ".join(fields)
 
 
