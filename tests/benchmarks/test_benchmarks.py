@@ -49,6 +49,16 @@ def test_crowd():
 
 
 @pytest.mark.night
+def test_floors(tmp_path):
+    short = "--environments", "lab", "--routings", "trips", "--seconds", "10", "--door-draws", "2"
+    lines = run("benchmarks/floors.py", *short, "--out", str(tmp_path / "floors.json"))
+    figures = json.loads((tmp_path / "floors.json").read_text())
+    assert [line.split()[0] for line in lines] == ["lab", "robot", "nobody"]
+    assert figures["lab trips"]["walking_minutes"] >= 0.0
+    assert len(figures["door"]["robot"]["longest"]) == len(figures["door"]["nobody"]["passes"]) == 2
+
+
+@pytest.mark.night
 def test_adapters():
     pytest.importorskip("gymnasium")
     small = "--name", "Lab-Random-RandomAbNav-v0", "--rows", "2", "--seconds", "0.01"

@@ -214,11 +214,11 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, GraphMem
     if tables.temperature is not None:
         memory = memory._replace(log_chance=jnp.zeros((), float))
 
-    if scenario.behavior.direct is direct_trips:
+    if scenario.behavior.direct == direct_trips:
         memory = memory._replace(trip=trips.begin(memory, scenario.people))
 
     # Edge by edge nobody is sent ahead of time. Else a first stay may end before anyone could be there.
-    if scenario.behavior.direct is not direct_edge_by_edge:
+    if scenario.behavior.direct != direct_edge_by_edge:
         memory = _send_at_start(scenario, pedestrians, memory)
     return pedestrians, groups, memory
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.people.behaviors import trips
@@ -39,11 +39,10 @@ class Seen(NamedTuple):
     group: Int[Array, "T N"]
 
 
-def observe(scenario: Scenario, seconds: float, seed: int = SEED) -> tuple[Observed, np.ndarray]:
-    """People without a robot, from ``WARM_UP`` on for some seconds; and the group (T, N) of each, -1 none."""
-    state = reset(scenario, jax.random.key(seed))
-    nowhere = jnp.full(2, NOWHERE, float)
-    state = replace(state, robot=scenario.robot.place(scenario.robot, nowhere, state.robot.heading))
+def watch(scenario: Scenario, key: Array, robot: Float[Array, "2"], seconds: float) -> Seen:
+    """People from ``WARM_UP`` on for some seconds, beside a robot that stands at a place [m] all the time."""
+    state = reset(scenario, key)
+    state = replace(state, robot=scenario.robot.place(scenario.robot, robot, state.robot.heading))
 
     def one(state: State, _: None) -> tuple[State, Seen]:
         key = jax.random.fold_in(state.streams.people, state.tick)
@@ -55,10 +54,17 @@ def observe(scenario: Scenario, seconds: float, seed: int = SEED) -> tuple[Obser
 
     first = round(WARM_UP / scenario.time_step)
     steps = first + round(seconds / scenario.time_step)
-    _, seen = jax.jit(lambda state: jax.lax.scan(one, state, length=steps))(state)
-    seen = jax.tree.map(lambda rows: np.asarray(rows)[first:], seen)
+    seen = jax.lax.scan(one, state, length=steps)[1]
+    return jax.tree.map(lambda rows: rows[first:], seen)
+
+
+def observe(scenario: Scenario, seconds: float, seed: int = SEED) -> tuple[Observed, np.ndarray]:
+    """People without a robot, from ``WARM_UP`` on for some seconds; and the group (T, N) of each, -1 none."""
+    nowhere = jnp.full(2, NOWHERE, float)
+    seen = jax.jit(lambda key: watch(scenario, key, nowhere, seconds))(jax.random.key(seed))
+    seen = jax.tree.map(np.asarray, seen)
     observed = Observed(seen.position, seen.present, seen.standing, seen.heading, scenario.time_step)
-    return observed, np.asarray(seen.group)
+    return observed, seen.group
 
 
 def shipped(context: CheckContext, environment: str, seconds: float = 120.0) -> CheckResult:
