@@ -2,8 +2,8 @@
 
 python benchmarks/floors.py --door-draws 20 --out benchmarks/results/floors.json
 
-Rates are per person-minute. In the draws of the door a robot stands 0.44 m before an opening of 1.33 m and leaves 0.67 m
-of it free: the longest time for which a person stays within 1 m of it, and how many pass, with and without the robot.
+Rates are per person-minute. In the draws of the door a robot stands 0.44 m before an opening of 1.33 m and leaves
+0.67 m of it free: the longest time for which a person stays within 1 m of it, and how many pass, with and without it.
 """
 
 import json
