@@ -70,6 +70,7 @@ def test_the_pairs_that_floors_count():
     assert found == pytest.approx(((apart < reach).sum() - 20) / 20) and found > 0
 
 
+@pytest.mark.slow
 def test_what_binds():
     rates = roofline.Rates(operations=100.0, special=10.0, bytes=50.0)
     assert roofline.floor({"operations": 50.0, "special": 1.0, "bytes": 1.0}, rates) == (2.0, "operations")

@@ -71,6 +71,7 @@ def run(folder):
     return folder / "made"
 
 
+@pytest.mark.slow
 def test_a_run_has_own_parts_in_table_csv_and_report(run):
     found = rows(run / "episodes.csv")
     assert len(found) == 3 and {row["task"] for row in found} == {"across"}
@@ -82,6 +83,7 @@ def test_a_run_has_own_parts_in_table_csv_and_report(run):
     assert "time near people" in report and "Somebody is within 1 m of the robot." in report and "crowd" in report
 
 
+@pytest.mark.slow
 def test_its_config_repeats_it_to_the_byte(run, capsys):
     before = (run / "episodes.csv").read_bytes()
     assert command_line.main(["run", "--config", str(run / "config.yaml"), "--trust", "--out", "again", "--quiet"]) == 0
@@ -124,6 +126,7 @@ def test_demonstrations_of_an_own_policy_task_and_robot(folder):
     assert data.example_count >= 7 and set(data.manifest["parts"]) == {"my_parts.py"}
 
 
+@pytest.mark.slow
 def test_values_are_evaluated_as_their_file_is(run, folder):
     mine = user_parts.load(config.OwnPart(kind="my_parts.py:drive"), "policy").__globals__
     scenario = sean_jax.make(

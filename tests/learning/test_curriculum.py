@@ -82,6 +82,7 @@ def pooled(env, by_regret):
     return replace(env, pool=replace(by_regret.pool, weights=jnp.zeros(SIZE).at[2].set(1.0)))
 
 
+@pytest.mark.slow
 def test_episodes_know_their_start(env, pooled):
     state = jax.tree.map(lambda leaf: leaf[7], pooled.pool.states)
     told = []
@@ -129,6 +130,7 @@ def test_randomized_people(env, pooled):
 # ------------------------------------------------------------------ by situation
 
 
+@pytest.mark.slow
 def test_situations_that_occur_are_those_of_a_rollout(env, by_situations):
     """Against ``simulate`` from one of the starts, step by step."""
     for row in (0, 5):
@@ -238,6 +240,7 @@ def test_starts_of_least_regret_are_replaced_by_others_like_the_best(env, by_reg
 # ------------------------------------------------------------------ as a whole
 
 
+@pytest.mark.slow
 def test_it_is_a_function_of_its_arrays(env, by_regret):
     """Through numbers, as a checkpoint keeps it, and on: the same to the bit; and one program serves all."""
 

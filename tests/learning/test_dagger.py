@@ -24,6 +24,7 @@ def spin(scenario, state, key):
     return jnp.array([0.1, 0.5])
 
 
+@pytest.mark.slow
 def test_the_driver_drives_and_the_other_labels():
     scenario = sean_jax.make("lab", behavior="random", people=3, dynamics="twin")
     helper = sean_jax.POLICIES["go_to_goal"]

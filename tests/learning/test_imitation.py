@@ -113,6 +113,7 @@ def test_it_learns_two_hundred_examples_by_heart(recording):
         assert (np.asarray(shares) >= 0).all() and np.asarray(shares).std(0).max() > 0.01, "it depends on what is there"
 
 
+@pytest.mark.slow
 def test_losses_equal_a_loop_in_numpy(recording, data):
     """Equal weights; only what is known of the future counts; the filling of the last batch does not."""
     description, chosen = described(16), unread(width=16, batch=32)
@@ -138,6 +139,7 @@ def test_losses_equal_a_loop_in_numpy(recording, data):
     np.testing.assert_allclose(found.loss, found.local_plan + found.command, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_comes_to_the_same_bits(data, trained, tmp_path, monkeypatch):
     whole, folder = trained
     saves = []
@@ -357,6 +359,7 @@ def test_a_damaged_checkpoint_is_named(data, trained, tmp_path):
         imitation.train(options(data, folder, epochs=14))
 
 
+@pytest.mark.slow
 def test_a_byte_that_changed_in_a_checkpoint_changes_no_weight(trained, tmp_path):
     """Orbax has no checksum: without the digests, some of these policies would act otherwise."""
     import shutil

@@ -271,6 +271,7 @@ def test_a_wrong_own_network_is_refused(mine, name, message):
         agent_network(config, env.observation_space)
 
 
+@pytest.mark.slow
 def test_an_agent_with_an_own_network_is_loaded_from_its_folder(mine, tmp_path):
     """Its config.json names the file, which runs if it is trusted, and must be the same."""
     config = options(network={"kind": f"{mine}:Net", "width": 4}, distribution="squashed")

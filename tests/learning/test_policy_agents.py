@@ -96,6 +96,7 @@ def test_it_is_refused_where_it_sees_something_else(lab, tmp_path):
         learning.load(tmp_path, lab)
 
 
+@pytest.mark.slow
 def test_damaged_weights_are_told(lab, tmp_path):
     folder = tmp_path / "ppo"
     folder.mkdir()

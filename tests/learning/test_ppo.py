@@ -433,6 +433,7 @@ def broken(line):
 """
 
 
+@pytest.mark.slow
 def test_callbacks_get_each_line_of_the_log(quiet, tmp_path, capsys):
     """A function of Python, and one of a file, whose content is no part of the training: it may change."""
     (tmp_path / "my.py").write_text(CALLBACKS)
@@ -916,6 +917,7 @@ def own(tmp_path, monkeypatch):
     return parts
 
 
+@pytest.mark.slow
 def test_a_training_goes_on_with_the_same_own_files_alone(own, tmp_path):
     kept = (tmp_path / "trained" / "config.json").read_bytes()
     assert set(json.loads(kept)["parts"]) == {"mine.py", "helper.py"}
@@ -931,6 +933,7 @@ def test_a_training_goes_on_with_the_same_own_files_alone(own, tmp_path):
     assert (tmp_path / "trained" / "config.json").read_bytes() == kept and not (tmp_path / "packed").exists()
 
 
+@pytest.mark.slow
 def test_a_packed_agent_has_its_own_files_with_it(own, tmp_path, monkeypatch, capsys):
     scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=4.0)
     with pytest.raises(InputError, match="mine.py:seen is code, and trained/config.json names it, not you"):

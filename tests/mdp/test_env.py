@@ -70,6 +70,7 @@ def lie_within(space, observation):
     )
 
 
+@pytest.mark.slow
 def test_observations_lie_in_their_space(env, episodes):
     first, (_, seen, *_) = episodes
     space = env.observation_space
@@ -270,6 +271,7 @@ def pooled(scenario):
 env_step = jax.jit(Env.step)
 
 
+@pytest.mark.slow
 def test_a_pool_gives_its_starts(pooled, episodes):
     assert pooled.pool.weights.shape == (4,) and (np.asarray(episodes[1][0].start) == -1).all()
     state = jax.tree.map(lambda leaf: leaf[2], pooled.pool.states)

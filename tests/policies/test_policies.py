@@ -131,6 +131,7 @@ def gaps(frames):
     return np.linalg.norm(np.asarray(frames.position)[:, :, None] - np.asarray(frames.people), axis=-1)
 
 
+@pytest.mark.slow
 def test_reaches_its_goal_and_stays(driven):
     name, _, _, frames = driven
     away = np.linalg.norm(np.asarray(frames.position) - GOAL, axis=-1)

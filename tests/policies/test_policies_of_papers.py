@@ -115,6 +115,7 @@ def value_by_hand(scenario, state, target, command):
     return 0.4 * heading + 0.4 * way / longest + 0.2 * toward * speed / float(model.max_speed), excess
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["kuri", "a1"])
 def test_the_objective_of_dwa_is_that_of_a_loop(make, robot):
     random, blocked = np.random.default_rng(1), 0

@@ -714,6 +714,7 @@ def test_control_step_must_be_a_multiple_of_the_physics_step(twin):
         run(twin.replace(time_step=0.03), [[0.1, 0.0]])
 
 
+@pytest.mark.slow
 def test_mjx_is_imported_only_for_an_mjx_robot():
     code = """
 import sys

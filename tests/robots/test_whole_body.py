@@ -137,6 +137,7 @@ def test_the_position_is_that_of_mujoco_in_single_precision_too(rover):
     np.testing.assert_allclose(moved.position, qpos[:, :2], atol=2e-4)
 
 
+@pytest.mark.slow
 def test_the_command_stays_within_the_limits_and_ends_at_its_timeout(rover):
     commands = np.full((STEPS, 2), np.nan)
     commands[:6] = 5.0, 9.0

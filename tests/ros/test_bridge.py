@@ -172,6 +172,7 @@ def test_a_bridge_of_a_namespace_has_its_topics_and_frames(scenario, monkeypatch
     assert made.mailbox.take_command().tolist() == [0.25, -0.5]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ros", [1, 2])
 def test_the_topics_of_sean_have_types_that_each_transport_writes(scenario, ros):
     pytest.importorskip("rosbags")

@@ -150,6 +150,7 @@ def compare(rows, read):
         assert not (wrong := differences(message, by_place[time, topic])), f"{topic}: {wrong}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["walk.bag", "walk"])
 def test_rosbags_reads_every_field(bag, name):
     from rosbags.highlevel import AnyReader

@@ -87,6 +87,7 @@ def limits(scenario):
 night = pytest.mark.night
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[] if name == "go_to_goal" else [night]) for name in POLICIES]
 )

@@ -86,6 +86,7 @@ def steps(scenario):
     return after
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", quick(SCENARIOS, next(iter(SCENARIOS))))
 def test_scenarios_reset_and_step(make, name):
     scenario = make(name)

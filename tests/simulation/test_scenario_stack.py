@@ -90,6 +90,7 @@ def test_each_floor_is_as_it_is_alone(more, alone_too):
     assert np.abs(np.diff(people, axis=1)).max() > 0.01
 
 
+@pytest.mark.slow
 def test_a_member_is_its_floor(floors):
     for number, name in enumerate(floors.names):
         member = floors.at(number)

@@ -123,6 +123,7 @@ def test_a_robot_far_from_the_others_is_as_the_plain_scenario(scenario, begun, p
     assert np.linalg.norm(np.asarray(state.robot.position) - begin, axis=-1).max() > 0.2
 
 
+@pytest.mark.slow
 def test_robots_in_another_order_have_the_same_steps(begun, teams, team_step) -> None:
     """Near each other and near a person, some of them in contact."""
     random, order = np.random.default_rng(1), np.array([2, 0, 1])

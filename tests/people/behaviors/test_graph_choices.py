@@ -363,6 +363,7 @@ ODD = {  # nodes, edges, and (people, routing, congestion_cost) to try
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", quick(ODD, "one node"))
 def test_odd_graphs_and_numbers_of_people(kind, hall):
     """People are put where they aim at, so that they come to a node at every step; seats for all, or too few."""

@@ -120,6 +120,7 @@ def test_expectation_has_the_derivative_of_an_expected_value():
 # --- The program ---
 
 
+@pytest.mark.slow
 def test_without_a_temperature_nothing_is_kept_and_a_cold_one_chooses_the_cheapest_ways(crowds):
     still, warm = crowds[4, 0.0], crowds[1, TEMPERATURE]
     assert still.behavior.data.temperature is None

@@ -79,6 +79,7 @@ def test_where_everybody_goes_is_laid_down_walking_groups_are_refused(tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_more_walking_groups_than_fit_are_refused(mixed):
     tables = mixed[0].behavior.data
     start = np.asarray(tables.start)[:40]

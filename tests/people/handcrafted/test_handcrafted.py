@@ -212,6 +212,7 @@ def test_ways_cross_at_right_angles_or_run_along_by_geometry_alone(shipped):
                             assert sides[0] * sides[1] < 0, where
 
 
+@pytest.mark.slow
 def test_people_start_as_drawn(lab, sets, states):
     people = states.pedestrians
     assert set(states.memory.set.tolist()) == set(range(13))

@@ -285,6 +285,7 @@ def test_a_gpu_finds_what_a_cpu_finds(interpreted, parallel):
                 assert np.array_equal(image[part], np.asarray(expected[part])[of])
 
 
+@pytest.mark.slow
 def test_no_loop_is_left_to_the_host_of_a_gpu():
     """Distances, numbers and gradients are launches of the kernel; the rays are there once for the whole batch."""
     solids = cluttered(np.random.default_rng(3))

@@ -222,6 +222,7 @@ def test_a_single_file_is_measured_as_its_tracks(monkeypatch):
         assert rows[f"file deviation {case.row}"] == pytest.approx(measures.deviation_in_time(speed), rel=0.02)
 
 
+@pytest.mark.slow
 def test_meetings_and_encounters_are_measured_as_their_tracks():
     forces = plain()
     cases = [families.Case(f"{a}", individuals.two(np.deg2rad(a), 0.1, (1.3, 1.3))) for a in (180, 90)]

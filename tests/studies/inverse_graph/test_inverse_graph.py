@@ -349,6 +349,7 @@ def test_proposed_graphs_are_sound_connected_and_see_the_floor(name, tmp_path):
     assert len(words.nodes) <= 60
 
 
+@pytest.mark.slow
 def test_people_walk_on_a_proposed_graph(tmp_path):
     """``sean fit-graph`` writes an environment that ``make`` takes; where recorded people come from is a node."""
     yard(tmp_path / "rooms", boxes=ROOMS)

@@ -305,6 +305,7 @@ async def take_part(link, draw, sent, stop_after=None):
         return page
 
 
+@pytest.mark.slow
 def test_links_open_the_own_page_alone(served):
     mine, researcher = served.links()[0], served.researcher_link
     base, secret = mine.split("/?participant=")

@@ -86,6 +86,7 @@ def test_a_crowd_takes_few_bytes():
     assert len(base64.b64encode(zlib.compress(numbers, 9))) < 450_000
 
 
+@pytest.mark.slow
 def test_the_page_is_whole_and_refers_to_nothing_outside(content):
     text = replay.html(content)
     assert "://" not in text and "@import" not in text and "Two &lt;episodes&gt;" in text

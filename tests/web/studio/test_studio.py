@@ -63,6 +63,7 @@ def equal(one, other):
 # ------------------------------------------------------------------ a session
 
 
+@pytest.mark.slow
 def test_a_drive_is_simulated_again_to_the_byte(fresh, tmp_path):
     """Also one that returned to an earlier moment, in which person and policy take turns."""
     fresh.record()
@@ -208,6 +209,7 @@ def test_an_error_stops_the_episode_and_not_the_studio(fresh, monkeypatch):
     fresh.send = lambda kind, content: None
 
 
+@pytest.mark.slow
 def test_pictures_of_the_robots_cameras(fresh):
     for name, (width, height) in server.VIEWS.items():
         picture = fresh.picture(name, width, height)
@@ -1416,6 +1418,7 @@ BAD = [
 ]
 
 
+@pytest.mark.slow
 def test_people_go_on_with_a_changed_graph(edited):
     """In the same programs; what is refused changes nothing; undo leads back to the file."""
     edited.restart(0)
