@@ -212,11 +212,9 @@ def _turn_by(
     cosine = x * goal_x + y * goal_y
     sine = x * goal_y - y * goal_x
     max_angle = jnp.minimum(max_angle, jnp.pi)
-    max_cosine = jnp.cos(max_angle)
-    max_sine = jnp.sin(max_angle)
-    within = cosine >= max_cosine
-    cosine = jnp.where(within, cosine, max_cosine)
-    bounded = jnp.where(sine < 0.0, -max_sine, max_sine)
+    within = cosine >= jnp.cos(max_angle)
+    cosine = jnp.where(within, cosine, jnp.cos(max_angle))
+    bounded = jnp.where(sine < 0.0, -jnp.sin(max_angle), jnp.sin(max_angle))
     sine = jnp.where(within, sine, bounded)
     return cosine, sine
 

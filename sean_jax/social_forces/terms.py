@@ -652,9 +652,8 @@ class RobotRepulsion:
         # Whoever takes no notice of the robot still feels its body.
         fx, fy = force
         touch_x, touch_y = (0.0, 0.0) if contact is None else self._over_people(crowd, contact.pair)
-        unheeded = 1.0 - factor
-        fx = factor * fx + unheeded * touch_x
-        fy = factor * fy + unheeded * touch_y
+        fx = factor * fx + (1.0 - factor) * touch_x
+        fy = factor * fy + (1.0 - factor) * touch_y
         return fx, fy
 
     def gathered(self, crowd: Crowd) -> tuple[tuple[Array, ...], ...] | None:
