@@ -369,9 +369,11 @@ class Forces:
             fields = [known.name for known in dataclasses.fields(getattr(self, name))]
             if field not in fields:
                 raise InputError(f"forces.{path}: '{name}' has no such parameter{suggest(field, fields)}")
-            number = isinstance(value, (int, float, np.ndarray, np.generic)) and not isinstance(value, bool)
-            changes.setdefault(name, {})[field] = np.asarray(value, float) if number else value
-        return self.replace(**{name: dataclasses.replace(getattr(self, name), **new) for name, new in changes.items()})
+            if isinstance(value, (int, float, np.ndarray, np.generic)) and not isinstance(value, bool):
+                value = np.asarray(value, float)
+            changes.setdefault(name, {})[field] = value
+        terms = {name: dataclasses.replace(getattr(self, name), **fields) for name, fields in changes.items()}
+        return self.replace(**terms)
 
     def tree_flatten_with_keys(self) -> tuple[list, None]:
         """Terms as children, each keyed by its name; part of being a pytree."""
@@ -408,7 +410,7 @@ def over_robots(crowd: Crowd, law: Callable[[Crowd], Any]) -> Any:
     if crowd.robot is None or crowd.robot.position.ndim == 1:
         return law(crowd)
 
-    def with_one(robot: Robot, radius: Array) -> Any:
+    def with_one(robot: Robot, radius: Array | float) -> Any:
         return law(crowd._replace(robot=robot, robot_radius=radius))
 
     results = jax.vmap(with_one)(crowd.robot, crowd.robot_radius)

@@ -121,7 +121,7 @@ class _All(NamedTuple):
 
     @property
     def words(self) -> int:
-        """In which they are tested at once."""
+        """The number of words in which they are tested at once."""
         return -(-self.people // BITS)
 
     def column(self, number: Any) -> Any:
@@ -155,8 +155,8 @@ class _Runs:
         below = last[0] - first[0]
         own = last[1] - first[1]
         above = last[2] - first[2]
-        self.below_own = below  # others before the own run
-        self.below_above = below + own
+        self.begin_own = below  # the number of the first other of the own run
+        self.begin_above = below + own
         self.count = below + own + above
 
         # From the number of an other to the column in the sorted crowd, for each run.
@@ -169,8 +169,8 @@ class _Runs:
 
     def column(self, number: Any) -> Any:
         """Where in the sorted crowd one is."""
-        shift = jnp.where(number < self.below_above, self.shift_own, self.shift_above)
-        shift = jnp.where(number < self.below_own, self.shift_below, shift)
+        shift = jnp.where(number < self.begin_above, self.shift_own, self.shift_above)
+        shift = jnp.where(number < self.begin_own, self.shift_below, shift)
         return jnp.minimum(number + shift, self.people - 1)
 
     def person(self, number: Any) -> Any:
@@ -191,7 +191,7 @@ class _Runs:
     def over_parts(self, add_part: Callable, sums: tuple) -> tuple:
         """The sums after ``add_part(begin, sums)`` for each part."""
 
-        def is_inside(carry: tuple) -> Any:
+        def has_others(carry: tuple) -> Any:
             begin, _ = carry
             return begin < self.count
 
@@ -199,7 +199,7 @@ class _Runs:
             begin, sums = carry
             return begin + self.words * BITS, add_part(begin, sums)
 
-        _, sums = jax.lax.while_loop(is_inside, add_next, (np.int32(0), sums))
+        _, sums = jax.lax.while_loop(has_others, add_next, (np.int32(0), sums))
         return sums
 
 
@@ -420,13 +420,14 @@ def at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, *
     person's cell. Arguments are (N,) or for all people.
     """
     leaves, structure = jax.tree.flatten(arguments)
-    layout = _Arguments(structure, tuple(bool(jnp.ndim(leaf)) for leaf in leaves))
+    is_own = tuple(bool(jnp.ndim(leaf)) for leaf in leaves)
+    layout = _Arguments(structure, is_own)
 
     # Numbers for all people are one array, which begins with a zero: it exists without numbers, too.
     rows = [px, py]
     numbers = [px.dtype.type(0.0)]
-    for leaf, is_own in zip(leaves, layout.own, strict=True):
-        destination = rows if is_own else numbers
+    for leaf, own in zip(leaves, is_own, strict=True):
+        destination = rows if own else numbers
         destination.append(leaf)
     numbers = jnp.stack(numbers)
 
@@ -435,7 +436,8 @@ def at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, *
     cells = cells.astype(jnp.int32)
     table = grid.rows.reshape(-1)
     operands = [operand[None] for operand in (table, numbers, cells, *rows)]
-    call = gpu_kernels.batch(partial(_call_obstacles, function, layout, grid.rows.shape[2]), 1)
+    count = grid.rows.shape[2]
+    call = gpu_kernels.batch(partial(_call_obstacles, function, layout, count), 1)
     (results,) = call(*operands)
     return tuple(results.reshape(-1, len(px)))
 

@@ -108,6 +108,7 @@ def move(scenario: Scenario, state: State) -> Pedestrians:
         people = integrate(forces, people, grid, state.groups, state.robot, time_step, radius, companions, near)
         return people, None
 
+    # Without this, reverse mode would store every number of every substep.
     keep = jax.checkpoint_policies.save_only_these_names(SUMS)
     substep = jax.checkpoint(substep, prevent_cse=False, policy=keep)
     people, _ = jax.lax.scan(substep, people, length=scenario.substeps)
@@ -229,9 +230,11 @@ def _forces(crowd: Crowd, near: Neighbors | None) -> tuple[Array, Array, Array |
     if force is None:
         zero = jnp.zeros_like(crowd.look_x)
         force = zero, zero
+    fx, fy = force
     if pushes is None:
-        pushes = 0.0, 0.0
-    return *force, *pushes
+        return fx, fy, 0.0, 0.0
+    push_x, push_y = pushes
+    return fx, fy, push_x, push_y
 
 
 def _wall_friction(forces: Forces) -> Float[Array, ""] | None:
@@ -363,7 +366,9 @@ def _pair_law(shared: SharedTerms, own: Sequence[Array], other: Sequence[Array])
     # If both sums use the same radii, XLA of jax 0.10 writes them to a GPU's memory for each pair. The radii of
     # (dy, dx) are equal to rounding, and each sum computes its own.
     shape = tuple(map(jnp.add, own_shape, other_shape)) or None
-    mirrored = None if shape is None else (-shape[0], shape[1])
+    mirrored = None
+    if shape is not None:
+        mirrored = -shape[0], shape[1]
     radii = shared.walking.radii(dx, dy, shape)
     gather_radii = shared.walking.radii(dy, dx, mirrored)
 

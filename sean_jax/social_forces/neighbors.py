@@ -431,7 +431,7 @@ def _backward(law: Callable, primals: tuple, cotangents: PyTree) -> tuple:
             d_shared, d_own, d_other = _pull_back_in_two(law, numbers, own, other, pull_tree)
             return jnp.stack(d_shared), d_own, d_other
 
-        # The kernel sums the cotangents of a pair, one after the other.
+        # The sums are the cotangents of shared numbers, of own rows and of other rows, in this order.
         rows = *own, *other, *pulls
         sums = kernel.sum_pairs(program, near, reach, shared, rows, rows)
         n_shared = len(shared)
@@ -448,7 +448,6 @@ def _pull_back_pair(
 
     Both have rows of a person, of an other, and the pulls on the numbers of the law.
     """
-
     n_rows = n_own + n_other
 
     def pull_back(person: Rows, another: Rows) -> tuple:

@@ -225,7 +225,8 @@ def nearest_robot(people: Pedestrians, robot: Robot) -> Robot:
     """The robot; of several (M, ...) the nearest to each person, with people as the last axis (2, N)."""
     if robot.position.ndim == 1:
         return robot
-    dx, dy = (robot.position[:, axis, None] - people.position[None, :, axis] for axis in (0, 1))  # (M, N) m
+    dx = robot.position[:, 0, None] - people.position[None, :, 0]  # (M, N) m
+    dy = robot.position[:, 1, None] - people.position[None, :, 1]
     square = jax.lax.stop_gradient(dx * dx + dy * dy)
     index = square.argmin(0)  # (N,)
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf[index], 0, -1), robot)

@@ -173,8 +173,9 @@ def in_front(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> Array:
     """
     dx = pair.dx
     dy = pair.dy
+    ahead = -(dx * pair.look_x + dy * pair.look_y)
     dd = dx * dx + dy * dy + TINY
-    cosine = -(dx * pair.look_x + dy * pair.look_y) * jax.lax.rsqrt(dd)
+    cosine = ahead * jax.lax.rsqrt(dd)
     return parameters.back_weight + (1.0 - parameters.back_weight) * 0.5 * (1.0 + cosine)
 
 
@@ -320,7 +321,8 @@ class Evasion:
         """The push to the side (N,) [m/s2], ``strength`` at most, from the sum of ``gather``."""
         share = share * (self.gain / self._scale())
         factor, _, alertness = self.individual(crowd.people)
-        share = share / (factor * factor) ** 2 / factor / alertness**2
+        width_power = (factor * factor) ** 2
+        share = share / width_power / factor / alertness**2
         push = self.strength * share * jax.lax.rsqrt(1.0 + share * share)
         standing = is_standing(crowd.people)
         push = jnp.where(standing, 0.0, push)
@@ -404,9 +406,11 @@ class Noise:
         low = bits & 0xFFFF
         high = bits >> 16
         halves = jnp.stack([low, high], -1).astype(noise.dtype)  # (N, 2)
-        step = (halves * (1.0 / 0x8000) - (1.0 - 1.0 / 0x10000)) * 3.0**0.5
+        step = (halves * (1.0 / 0x8000) - (1.0 - 1.0 / 0x10000)) * 3.0**0.5  # of unit variance
         share = jnp.exp(-time_step / self.time)
-        return share * noise + jnp.sqrt(1.0 - share * share) * step
+        kept = share * noise
+        added = jnp.sqrt(1.0 - share * share) * step
+        return kept + added
 
 
 @struct.dataclass
@@ -468,9 +472,10 @@ class GroupSpace:
         index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
         by_groups = jax.vmap(self._push, in_axes=(None, None, None, 0, 0, 0, 0))
         on_people = jax.vmap(by_groups, in_axes=(0, 0, 0, None, None, None, None))
+        member_of = crowd.people.group
         x, y = components(crowd.people.position)
-        pushes = on_people(x, y, crowd.people.group, index, groups.center, groups.radius, groups.present)  # (N, G)
-        return sum_vectors(*pushes, 1)
+        fx, fy = on_people(x, y, member_of, index, groups.center, groups.radius, groups.present)  # (N, G)
+        return sum_vectors(fx, fy, 1)
 
     def _push(
         self, px: Array, py: Array, member_of: Array, group: Array, center: Array, radius: Array, present: Array
@@ -523,8 +528,10 @@ class Cohesion:
         # [M10] counts from each companion, and to the middle of all. Index -1 reads the last person: a mask hides it.
         exists = (companions >= 0) & people.present[companions]  # (N, 2)
         x, y = components(people.position)
-        dx = jnp.where(exists, x[:, None] - people.position[companions, 0], 0.0)  # (N, 2) m
-        dy = jnp.where(exists, y[:, None] - people.position[companions, 1], 0.0)
+        dx = x[:, None] - people.position[companions, 0]  # (N, 2) m
+        dx = jnp.where(exists, dx, 0.0)
+        dy = y[:, None] - people.position[companions, 1]
+        dy = jnp.where(exists, dy, 0.0)
 
         # A person without companions would divide by 0, and the middle is that of the others, without oneself.
         count = exists.sum(1, dtype=jnp.int32).astype(float)
@@ -604,7 +611,8 @@ def attraction(
     distance = length(cx, cy) * number / (1.0 + number)
     away = distance - 0.5 * number * parameters.attraction_distance
     ux, uy = unit(cx, cy)
-    pull = parameters.attraction * jnp.clip(away / parameters.ramp, 0.0, 1.0)
+    share = jnp.clip(away / parameters.ramp, 0.0, 1.0)
+    pull = parameters.attraction * share
     return pull * ux, pull * uy
 
 
@@ -614,8 +622,9 @@ def companion_repulsion(parameters: Cohesion, dx: Float[Array, "*N"], dy: Float[
     Source: [M10], eq. (4).
     """
     ux, uy = unit(dx, dy)
-    share = (parameters.repulsion_distance - length(dx, dy)) / parameters.ramp
-    push = parameters.repulsion * jnp.clip(share, 0.0, 1.0)
+    overlap = parameters.repulsion_distance - length(dx, dy)
+    share = jnp.clip(overlap / parameters.ramp, 0.0, 1.0)
+    push = parameters.repulsion * share
     return push * ux, push * uy
 
 
@@ -651,7 +660,10 @@ class RobotRepulsion:
 
         # Whoever takes no notice of the robot still feels its body.
         fx, fy = force
-        touch_x, touch_y = (0.0, 0.0) if contact is None else self._over_people(crowd, contact.pair)
+        touch = 0.0, 0.0
+        if contact is not None:
+            touch = self._over_people(crowd, contact.pair)
+        touch_x, touch_y = touch
         fx = factor * fx + (1.0 - factor) * touch_x
         fy = factor * fy + (1.0 - factor) * touch_y
         return fx, fy

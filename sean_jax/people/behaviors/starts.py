@@ -107,23 +107,23 @@ def _in_discs(
 ) -> dict[str, np.ndarray]:
     """The table of ``in_discs``: starts (P, 2) [m] and discs (P,)."""
     generator = np.random.default_rng(0)
-    center = np.asarray(center, float)
-    radius = np.asarray(radius, float)
-    chance = np.asarray(chance, float)
+    centers = np.asarray(center, float)
+    radii = np.asarray(radius, float)
+    chances = np.asarray(chance, float)
 
     # Candidates by the areas of the discs.
-    tries = np.ceil(TRIES * radius**2 / MIN_DISTANCE**2).astype(int)  # (M,)
-    tries = tries * (chance > 0)
+    tries = np.ceil(TRIES * radii**2 / MIN_DISTANCE**2).astype(int)  # (M,)
+    tries = tries * (chances > 0)
     if tries.sum() > MAX_TRIES:
         share = MAX_TRIES / tries.sum()
         tries = np.ceil(tries * share).astype(int)
-    disc = np.repeat(np.arange(len(radius)), tries)  # (C,) of each candidate
+    disc = np.repeat(np.arange(len(radii)), tries)  # (C,) of each candidate
 
     # Uniform over a disc: the square of the distance is.
-    distance = radius[disc] * np.sqrt(generator.uniform(size=len(disc)))
+    distance = radii[disc] * np.sqrt(generator.uniform(size=len(disc)))
     angle = generator.uniform(0, 2 * np.pi, len(disc))
     direction = np.stack([np.cos(angle), np.sin(angle)], -1)
-    spots = center[disc] + distance[:, None] * direction  # (C, 2) m
+    spots = centers[disc] + distance[:, None] * direction  # (C, 2) m
 
     free = _is_free(environment, spots, clearance)
     for middle, size in avoid:
@@ -258,7 +258,9 @@ def find_spawn_clusters(navigation: Navigation, start: np.ndarray, groups: Walki
     Raises:
         InputError: there are fewer clusters than groups.
     """
-    clusters = _clusters_of_three(navigation, start) if groups.number else []
+    clusters = []
+    if groups.number:
+        clusters = _clusters_of_three(navigation, start)
     if groups.number > len(clusters):
         raise InputError(
             f"walking_groups: {groups.number} do not fit here, {len(clusters)} at most; give smaller shares."
