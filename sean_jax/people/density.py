@@ -73,7 +73,8 @@ def congestion(
     n_cells = cells[0] * cells[1]
     cell = cell_of(environment, cells, frames.people)  # (T, N)
     people = jnp.zeros((n_spans, n_cells), float)  # (K, cells)
-    people = people.at[span_index[:, None], cell].add(frames.present.astype(float))
+    present = frames.present.astype(float)
+    people = people.at[span_index[:, None], cell].add(present)
 
     # Cells divide the floor evenly, so they are only about half a metre wide.
     width, height = _floor_size(environment)
@@ -141,7 +142,8 @@ def track_nodes(
     gap = people[:, None] - graph.position[None, :]  # (N, M, 2) m
     beyond = length(gap[..., 0], gap[..., 1]) - graph.radius[None, :]  # (N, M) m
     nearest = jnp.argmin(beyond, axis=1).astype(jnp.int32)
-    arrived = present & (jnp.min(beyond, axis=1) < ARRIVAL_DISTANCE)
+    least = jnp.min(beyond, axis=1)
+    arrived = present & (least < ARRIVAL_DISTANCE)
     has_edge = jnp.isfinite(graph.edge_cost[last, nearest])
     is_edge = (last != NO_NODE) & (last != nearest) & has_edge
 

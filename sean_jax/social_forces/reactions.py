@@ -106,7 +106,8 @@ class Reactions:
         above = chance[:, None] >= bounds[None]  # (N, kinds)
         kind = len(shares) - above.sum(1, dtype=jnp.int32)
 
-        has_phone = jax.random.uniform(phone_key, (people,), float) < self.inattentive
+        chance = jax.random.uniform(phone_key, (people,), float)
+        has_phone = chance < self.inattentive
         alertness = jnp.where(has_phone, self.phone, 1.0).astype(float)
         attention = jnp.zeros(people, float)
         patience = jnp.broadcast_to(self.duration, (people,)).astype(float)

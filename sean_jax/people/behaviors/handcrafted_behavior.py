@@ -148,7 +148,8 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     # Between waypoints chosen as starts there may be obstacles, which a straight line would run into.
     if tables.ways is not None:
         aim = _ahead(tables.ways, row, loop_index, target, people.position)  # (N, 2) m
-        gap = jnp.where(walks[:, None], aim - people.position, gap)
+        to_aim = aim - people.position
+        gap = jnp.where(walks[:, None], to_aim, gap)
 
     # Near a seat the speed falls with the distance: at full speed people would oscillate about it.
     distance = length(*components(gap))

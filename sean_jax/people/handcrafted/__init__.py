@@ -193,7 +193,8 @@ def _row(layout: Set, size: PaddedSize) -> dict[str, np.ndarray]:
     way = np.ones(size.people, np.int32)
     for number, walkers in enumerate(layout.walkers):
         loop = np.array(walkers.loop, jnp.result_type(float))
-        legs = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=-1)
+        to_next = np.roll(loop, -1, axis=0) - loop  # (K, 2) m
+        legs = np.linalg.norm(to_next, axis=-1)
         count = len(loop)
         waypoint[number, :count] = loop
         walked[number, :count] = np.cumsum(legs)

@@ -209,7 +209,8 @@ def trace(loop: list[tuple[float, float]]) -> np.ndarray:
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         leg = end - start
         strides = int(np.ceil(np.linalg.norm(leg) / STRIDE))
-        share = np.linspace(0.0, 1.0, max(2, strides + 1))[:-1]
+        share = np.linspace(0.0, 1.0, max(2, strides + 1))
+        share = share[:-1]  # the last point is the first one of the next leg
         pieces.append(start + share[:, None] * leg)
     return np.concatenate(pieces)
 
@@ -454,7 +455,8 @@ def _max_people(points: np.ndarray, people: int) -> int:
     closed = np.concatenate([points, points[:1]])
     for count in range(people, 1, -1):
         first = np.linspace(0.0, 1.0 / count, 60)
-        share = (np.arange(count) / count)[:, None] + first[None, :]  # (count, 60)
+        behind = np.arange(count) / count
+        share = behind[:, None] + first[None, :]  # (count, 60)
         walked = (share % 1.0) * along[-1]
         place = np.stack([np.interp(walked, along, closed[:, k]) for k in (0, 1)], -1)
         gaps = np.linalg.norm(place[:, None] - place[None, :], axis=-1)  # (count, count, 60)
