@@ -408,10 +408,13 @@ def _backward(law: Callable, primals: tuple, cotangents: PyTree) -> tuple:
     """Cotangents of shared, own and other."""
     near, reach, shared, own, other = primals
     pulls, structure = jax.tree.flatten(cotangents)
+
+    # In a kernel both bodies of a pair have the same rows, for each of them is the person once.
     rows = *own, *other, *pulls
     pull_law = partial(_pull_back_pair, law, structure, len(own), len(other))
     program = kernel.trace(pull_law, near, shared, rows, rows)
 
+    # Small crowds keep arrays of all pairs; large ones compute the law again along the runs.
     def on_cpu(near: Neighbors | None, shared: Array, own: Rows, other: Rows, pulls: Rows) -> tuple:
         numbers = jnp.unstack(shared)
         if near is None:
