@@ -99,23 +99,30 @@ def routes(edge_cost: np.ndarray, is_group: np.ndarray) -> tuple[np.ndarray, np.
     count = len(edge_cost)
 
     # A group is two nodes: u, which edges only leave, and count + u, which edges only enter.
-    enter = np.where(np.asarray(is_group, bool), count, 0) + np.arange(count)
-    start, end = np.nonzero(np.isfinite(edge_cost) & ~np.eye(count, dtype=bool))
+    nodes = np.arange(count)
+    enter = np.where(np.asarray(is_group, bool), count, 0) + nodes
+    is_edge = np.isfinite(edge_cost) & ~np.eye(count, dtype=bool)
+    start, end = np.nonzero(is_edge)
+    weight = np.maximum(edge_cost[start, end], MIN_COST)
     ends = start.astype(np.int32), enter[end].astype(np.int32)  # int32 for older versions of scipy
-    edges = csr_array((np.maximum(edge_cost[start, end], MIN_COST), ends), shape=(2 * count, 2 * count))
-    distance, predecessor = dijkstra(edges, indices=np.arange(count), return_predecessors=True)
+    edges = csr_array((weight, ends), shape=(2 * count, 2 * count))
+    distance, predecessor = dijkstra(edges, indices=nodes, return_predecessors=True)
 
-    cost = distance[:, enter]
+    # The first node of a path is that of the path to the predecessor of its end.
     next_hop = np.full((count, count), -1, np.int32)
     for source in range(count):
         first = np.full(2 * count, -1)
         for node in np.argsort(distance[source]):  # nearest first: its predecessor is known
             previous = predecessor[source, node]
-            if previous >= 0:
-                first[node] = node % count if previous == source else first[previous]
+            if previous == source:
+                first[node] = node % count
+            elif previous >= 0:
+                first[node] = first[previous]
         next_hop[source] = first[enter]
+
+    cost = distance[:, enter]
     np.fill_diagonal(cost, 0.0)
-    np.fill_diagonal(next_hop, np.arange(count))
+    np.fill_diagonal(next_hop, nodes)
     return cost, next_hop
 
 
@@ -127,17 +134,23 @@ def cheapest_paths(
     itself = jnp.eye(count, dtype=bool)
 
     # All nodes of a path but the last are waypoints: nobody walks through a group.
-    onward = jnp.where(itself, 0.0, jnp.where(is_group[:, None], jnp.inf, edge_cost))
-    for _ in range(math.ceil(math.log2(max(count - 1, 1)))):
+    onward = jnp.where(is_group[:, None], jnp.inf, edge_cost)
+    onward = jnp.where(itself, 0.0, onward)
+    squarings = math.ceil(math.log2(max(count - 1, 1)))
+    for _ in range(squarings):
         onward = jnp.min(onward[:, :, None] + onward[None, :, :], axis=1)
 
     # By each first edge; groups may be left.
-    ways = jnp.where(itself, jnp.inf, edge_cost)[:, :, None] + onward[None, :, :]  # (from, first, to)
+    first_cost = jnp.where(itself, jnp.inf, edge_cost)
+    ways = first_cost[:, :, None] + onward[None, :, :]  # (from, first, to)
     first = jnp.argmin(ways, axis=1).astype(jnp.int32)
-    cost = jnp.where(itself, 0.0, jnp.min(ways, axis=1))
+    cost = jnp.min(ways, axis=1)
+    cost = jnp.where(itself, 0.0, cost)
     next_hop = jnp.where(jnp.isfinite(cost), first, -1)
-    row = jnp.broadcast_to(jnp.arange(count, dtype=jnp.int32)[:, None], (count, count))
-    return cost, jnp.where(itself, row, next_hop)
+    node = jnp.arange(count, dtype=jnp.int32)
+    row = jnp.broadcast_to(node[:, None], (count, count))
+    next_hop = jnp.where(itself, row, next_hop)
+    return cost, next_hop
 
 
 def hop_log_chances(
@@ -161,13 +174,18 @@ def hop_log_chances(
 
     # Over edges, towards goals that can be reached, and through no group but the goal; (node, goal, next).
     exists = jnp.isfinite(edge_cost)[:, None, :] & jnp.isfinite(cost.T)[None, :, :]
-    usable = exists & ~at_goal.T[:, :, None] & (~is_group[None, None, :] | at_goal[None, :, :])
-    total = jnp.where(usable, edge_cost[:, None, :] + cost.T[None, :, :], 0.0)
+    passable = ~is_group[None, None, :] | at_goal[None, :, :]
+    usable = exists & ~at_goal.T[:, :, None] & passable
+    total = edge_cost[:, None, :] + cost.T[None, :, :]
+    total = jnp.where(usable, total, 0.0)
 
     # Costs above the least one, because a large number over a low temperature would be rounded.
-    least = jnp.min(jnp.where(usable, total, jnp.inf), axis=-1, keepdims=True)
-    least = jax.lax.stop_gradient(jnp.where(jnp.isfinite(least), least, 0.0))
-    score = jnp.where(usable, -(total - least) / temperature, NEVER)
+    least = jnp.where(usable, total, jnp.inf)
+    least = jnp.min(least, axis=-1, keepdims=True)  # (node, goal, 1)
+    least = jnp.where(jnp.isfinite(least), least, 0.0)
+    least = jax.lax.stop_gradient(least)
+    score = -(total - least) / temperature
+    score = jnp.where(usable, score, NEVER)
     normalizer = jax.nn.logsumexp(score, axis=-1, keepdims=True)
     return jnp.where(usable, score - normalizer, NEVER)
 
@@ -186,8 +204,11 @@ def rerouted(
     if factor is not None:
         edge_cost = edge_cost * jnp.where(is_edge, factor, 1.0)
     if position is not None:
-        edge_cost = edge_cost * _lengths(position) / jnp.maximum(_lengths(graph.position), 1e-6)
-        places = graph.places + (position - graph.position)[:, None]
+        new_length = _lengths(position)
+        old_length = _lengths(graph.position)
+        edge_cost = edge_cost * new_length / jnp.maximum(old_length, 1e-6)
+        shift = position - graph.position  # (M, 2) m
+        places = graph.places + shift[:, None]
         graph = replace(graph, position=position, places=places)
     edge_cost = jnp.where(is_edge, edge_cost, jnp.inf)
     cost, next_hop = cheapest_paths(edge_cost, graph.is_group)
@@ -196,16 +217,19 @@ def rerouted(
 
 def _lengths(position: Float[Array, "M 2"]) -> Float[Array, "M M"]:
     """(M, M) m between nodes; 1 on the diagonal."""
-    gap = position[:, None] - position[None, :]
+    gap = position[:, None] - position[None, :]  # (M, M, 2) m
     itself = jnp.eye(position.shape[0], dtype=bool)
-    return length(jnp.where(itself, 1.0, gap[..., 0]), jnp.where(itself, 0.0, gap[..., 1]))
+    dx = jnp.where(itself, 1.0, gap[..., 0])
+    dy = jnp.where(itself, 0.0, gap[..., 1])
+    return length(dx, dy)
 
 
 def edge_areas(graph: BehaviorGraph) -> Float[Array, "M M"]:
     """The floor [m2] between two nodes, also without an edge: a strip as wide as the mean diameter of their discs."""
-    gap = graph.position[:, None] - graph.position[None, :]
+    gap = graph.position[:, None] - graph.position[None, :]  # (M, M, 2) m
+    distance = length(gap[..., 0], gap[..., 1])
     width = graph.radius[:, None] + graph.radius[None, :]  # people aim at points of the discs, all over them
-    return jnp.maximum(length(gap[..., 0], gap[..., 1]) * width, MIN_AREA)
+    return jnp.maximum(distance * width, MIN_AREA)
 
 
 def edge_densities(

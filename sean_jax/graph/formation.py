@@ -35,12 +35,19 @@ def _tables() -> tuple[np.ndarray, np.ndarray]:
     mean = np.ones(MAX_SIZE + 1)
     deviation = np.ones(MAX_SIZE + 1)
     for size in range(1, MAX_SIZE + 1):
-        angle = 2 * np.pi * np.arange(1, size + 1) / (size + 1)
+        place = np.arange(1, size + 1)
+        angle = 2 * np.pi * place / (size + 1)
         ring = np.stack([np.cos(angle), np.sin(angle)], -1)  # (size, 2), of radius 1
         from_centroid = np.linalg.norm(ring - ring.mean(0), axis=-1)
-        share = float(np.mean(from_centroid)) if size > 1 else 1.0
+        share = 1.0
+        if size > 1:
+            share = float(np.mean(from_centroid))
 
-        distance, spread = MEASURED.get(size, (0.26 + 0.10 * size, 0.18))
+        # Larger groups than those of the data continue their means.
+        distance = 0.26 + 0.10 * size
+        spread = 0.18
+        if size in MEASURED:
+            distance, spread = MEASURED[size]
         mean[size] = distance / share
         deviation[size] = spread / share
     return mean, deviation
@@ -52,7 +59,8 @@ MEAN, DEVIATION = _tables()
 def reach(capacity: int) -> float:
     """The radius [m] of the disc in which all seats of a group lie."""
     size = min(capacity, MAX_SIZE)
-    return float(MEAN[size] + DEVIATION[size]) + JITTER
+    ring = float(MEAN[size] + DEVIATION[size])
+    return ring + JITTER
 
 
 def formation(
@@ -74,25 +82,36 @@ def formation(
 
     # The robot joins or leaves at the opening, so tasks reach groups from all sides.
     turn = jax.random.uniform(turn_key, (groups,), float, 0.0, 2.0 * jnp.pi)  # (G,) rad
-    opening = center + radius[:, None] * jnp.stack([jnp.cos(turn), jnp.sin(turn)], -1)
+    opening = center + radius[:, None] * _directions(turn)  # (G, 2) m
 
     # In random order, or the first member of every group would stand beside the opening.
-    place = 1.0 + _random_order(order_key, seat_group)  # counted from the opening
-    step = 2.0 * jnp.pi / n_places  # rad
-    angle = turn[seat_group] + place * step[seat_group]
-    outward = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)  # (Q, 2)
+    place = 1.0 + _random_order(order_key, seat_group)  # (Q,) counted from the opening
+    step = 2.0 * jnp.pi / n_places  # (G,) rad
+    angle = turn[seat_group] + place * step[seat_group]  # (Q,) rad
+    outward = _directions(angle)  # (Q, 2)
     along = jnp.stack([-jnp.sin(angle), jnp.cos(angle)], -1)
 
     # A seat stays within a disc around its place, small enough to keep neighbours apart; 0.7071: a square in it.
-    room = jnp.clip(radius * half_chord - 0.5 * APART, 0.0, JITTER)[seat_group]
-    jitter = jax.random.uniform(jitter_key, (seats, 2), float, -1.0, 1.0) * (room * 0.7071)[:, None]
+    to_middle = radius * half_chord  # (G,) m, from a place halfway to the next one
+    room = jnp.clip(to_middle - 0.5 * APART, 0.0, JITTER)
+    half_side = room[seat_group] * 0.7071
+    jitter = jax.random.uniform(jitter_key, (seats, 2), float, -1.0, 1.0)
+    jitter = jitter * half_side[:, None]  # (Q, 2) m
     distance = radius[seat_group] + jitter[:, 0]
     aside = jitter[:, 1]
-    offset = outward * distance[:, None] + along * aside[:, None]  # (Q, 2)
+    offset = outward * distance[:, None] + along * aside[:, None]  # (Q, 2) m
 
     # People look near the centre rather than at it: half of them within 30 degrees (Cocktail Party data).
     heading = _draw_headings(side_key, angle_key, offset, outward)
-    return center[seat_group] + offset, heading, radius, opening
+    position = center[seat_group] + offset
+    return position, heading, radius, opening
+
+
+def _directions(angle: Float[Array, "*N"]) -> Float[Array, "*N 2"]:
+    """Unit vectors at angles [rad]."""
+    x = jnp.cos(angle)
+    y = jnp.sin(angle)
+    return jnp.stack([x, y], -1)
 
 
 def _draw_radius(key: Array, capacity: Int[Array, "G"], half_chord: Float[Array, "G"]) -> Float[Array, "G"]:
@@ -100,9 +119,12 @@ def _draw_radius(key: Array, capacity: Int[Array, "G"], half_chord: Float[Array,
     size = jnp.clip(capacity, 0, MAX_SIZE)
     mean = jnp.asarray(MEAN, float)[size]
     deviation = jnp.asarray(DEVIATION, float)[size]
-    tightest = (0.5 * NEIGHBOR / half_chord - mean) / deviation
-    lower = jnp.clip(tightest, -1.0, 0.999)
-    return mean + deviation * jax.random.truncated_normal(key, lower, 1.0, capacity.shape, float)
+    smallest = 0.5 * NEIGHBOR / half_chord  # (G,) m
+
+    # Within a standard deviation of the mean.
+    lower = jnp.clip((smallest - mean) / deviation, -1.0, 0.999)
+    normal = jax.random.truncated_normal(key, lower, 1.0, capacity.shape, float)
+    return mean + deviation * normal
 
 
 def _random_order(key: Array, seat_group: Int[Array, "Q"]) -> Float[Array, "Q"]:
@@ -110,11 +132,17 @@ def _random_order(key: Array, seat_group: Int[Array, "Q"]) -> Float[Array, "Q"]:
     seats = seat_group.shape[0]
     score = jax.random.uniform(key, (seats,), float)
     index = jnp.arange(seats)
-    lower = score[None, :] < score[:, None]  # (Q, Q)
-    tie = score[None, :] == score[:, None]
-    tie = tie & (index[None, :] < index[:, None])
+
+    # Of two equal scores the one with the lower index comes first.
+    own_score = score[:, None]
+    other_score = score[None, :]
+    lower = other_score < own_score  # (Q, Q)
+    tie = other_score == own_score
+    earlier = index[None, :] < index[:, None]
+    tie = tie & earlier
     same_group = seat_group[None, :] == seat_group[:, None]
-    return jnp.sum((lower | tie) & same_group, axis=1, dtype=float)
+    before = (lower | tie) & same_group  # (Q, Q)
+    return jnp.sum(before, axis=1, dtype=float)
 
 
 def _draw_headings(
@@ -123,10 +151,17 @@ def _draw_headings(
     """Headings of seats at an offset [m] from the centre, turned away from it to either side as measured."""
     seats = offset.shape[0]
     share = jax.random.uniform(angle_key, (seats,), float)
-    angle = jnp.interp(share, jnp.asarray(SHARES, float), jnp.asarray(ANGLES, float))
-    angle = jnp.where(jax.random.bernoulli(side_key, 0.5, (seats,)), angle, -angle)
+    shares = jnp.asarray(SHARES, float)
+    angles = jnp.asarray(ANGLES, float)
+    angle = jnp.interp(share, shares, angles)
+    to_left = jax.random.bernoulli(side_key, 0.5, (seats,))
+    angle = jnp.where(to_left, angle, -angle)  # (Q,) rad
+    cosine = jnp.cos(angle)
+    sine = jnp.sin(angle)
 
-    inward = unit_vectors(-offset, outward)
-    cosine, sine = jnp.cos(angle), jnp.sin(angle)
-    x, y = inward[:, 0], inward[:, 1]
-    return jnp.stack(rotate(x, y, cosine, sine), -1)
+    # From the way to the centre, and from the outward direction where a seat lies at the centre itself.
+    inward = unit_vectors(-offset, outward)  # (Q, 2)
+    x = inward[:, 0]
+    y = inward[:, 1]
+    turned = rotate(x, y, cosine, sine)
+    return jnp.stack(turned, -1)

@@ -60,26 +60,43 @@ def congestion(
     # The last span may be shorter; its own length divides it, or it would look less crowded.
     steps = frames.active.shape[0]
     n_spans = -(-steps // stride)
-    index = jnp.arange(steps, dtype=jnp.int32) // stride  # (T,), the span of each frame
-    ends = np.minimum((np.arange(n_spans) + 1) * stride, steps)
+    span_index = jnp.arange(steps, dtype=jnp.int32) // stride  # (T,), the span of each frame
+    ends = (np.arange(n_spans) + 1) * stride  # (K,) steps
+    ends = np.minimum(ends, steps)
     lengths = np.diff(ends, prepend=0)  # (K,) steps
+    time = jnp.asarray(ends * scenario.time_step, float)
 
     # Each frame counts everybody there, so the density is an average over time, not a number of visitors.
-    rows, columns = grid_shape(scenario.environment) if cells is None else cells
-    cell = cell_of(scenario.environment, (rows, columns), frames.people)  # (T, N)
-    people = jnp.zeros((n_spans, rows * columns), float)  # (K, cells)
-    people = people.at[index[:, None], cell].add(frames.present.astype(float))
+    environment = scenario.environment
+    if cells is None:
+        cells = grid_shape(environment)
+    n_cells = cells[0] * cells[1]
+    cell = cell_of(environment, cells, frames.people)  # (T, N)
+    people = jnp.zeros((n_spans, n_cells), float)  # (K, cells)
+    present = frames.present.astype(float)
+    people = people.at[span_index[:, None], cell].add(present)
 
     # Cells divide the floor evenly, so they are only about half a metre wide.
-    floor = scenario.environment.floor
-    area = (floor[2] - floor[0]) * (floor[3] - floor[1]) / (rows * columns)
-    density = people.reshape(n_spans, rows, columns) / (area * jnp.asarray(lengths, float)[:, None, None])
+    width, height = _floor_size(environment)
+    area = width * height / n_cells  # m2
+    n_frames = jnp.asarray(lengths, float)[:, None, None]  # (K, 1, 1)
+    people = people.reshape(n_spans, *cells)  # (K, rows, columns)
+    density = people / (area * n_frames)
 
     # Flow is in walks a minute along directed edges of the Behavior Graph; without a graph it is empty.
     graph = graph_of(scenario)
-    minutes = jnp.asarray(lengths * scenario.time_step / 60.0, float)[:, None, None]
-    flow = _walks_by_edge(graph, frames, index, n_spans) / minutes  # (K, M, M)
-    return Congestion(time=jnp.asarray(ends * scenario.time_step, float), density=density, flow=flow)
+    minutes = jnp.asarray(lengths * scenario.time_step / 60.0, float)
+    walks = _walks_by_edge(graph, frames, span_index, n_spans)  # (K, M, M)
+    flow = walks / minutes[:, None, None]
+    return Congestion(time=time, density=density, flow=flow)
+
+
+def _floor_size(environment: Environment) -> tuple[Array, Array]:
+    """Width and height [m] of the floor."""
+    floor = environment.floor
+    width = floor[2] - floor[0]
+    height = floor[3] - floor[1]
+    return width, height
 
 
 def grid_shape(environment: Environment) -> tuple[int, int]:
@@ -93,7 +110,9 @@ def grid_shape(environment: Environment) -> tuple[int, int]:
     except jax.errors.TracerArrayConversionError as error:
         message = "cells: are needed where the scenario is traced; give (rows, columns), or close over the scenario."
         raise InputError(message) from error
-    return math.ceil((y1 - y0) / CELL - 1e-6), math.ceil((x1 - x0) / CELL - 1e-6)
+    rows = math.ceil((y1 - y0) / CELL - 1e-6)
+    columns = math.ceil((x1 - x0) / CELL - 1e-6)
+    return rows, columns
 
 
 def cell_of(environment: Environment, cells: tuple[int, int], points: Float[Array, "*shape 2"]) -> Int[Array, "*shape"]:
@@ -103,10 +122,12 @@ def cell_of(environment: Environment, cells: tuple[int, int], points: Float[Arra
     """
     rows, columns = cells
     floor = environment.floor
-    x = (points[..., 0] - floor[0]) * (columns / (floor[2] - floor[0]))
-    y = (points[..., 1] - floor[1]) * (rows / (floor[3] - floor[1]))
+    width, height = _floor_size(environment)
+    x = (points[..., 0] - floor[0]) * (columns / width)  # in cells
+    y = (points[..., 1] - floor[1]) * (rows / height)
     column = jnp.clip(x.astype(jnp.int32), 0, columns - 1)
-    return jnp.clip(y.astype(jnp.int32), 0, rows - 1) * columns + column
+    row = jnp.clip(y.astype(jnp.int32), 0, rows - 1)
+    return row * columns + column
 
 
 def track_nodes(
@@ -118,16 +139,22 @@ def track_nodes(
         last: last node before this step, ``NO_NODE`` if there was none.
         people: m, positions.
     """
-    gap = people[:, None] - graph.position[None, :]
+    gap = people[:, None] - graph.position[None, :]  # (N, M, 2) m
     beyond = length(gap[..., 0], gap[..., 1]) - graph.radius[None, :]  # (N, M) m
     nearest = jnp.argmin(beyond, axis=1).astype(jnp.int32)
-    arrived = present & (jnp.min(beyond, axis=1) < ARRIVAL_DISTANCE)
-    is_edge = (last != NO_NODE) & (last != nearest) & jnp.isfinite(graph.edge_cost[last, nearest])
-    return jnp.where(arrived, nearest, jnp.where(present, last, NO_NODE)), arrived & is_edge
+    least = jnp.min(beyond, axis=1)
+    arrived = present & (least < ARRIVAL_DISTANCE)
+    has_edge = jnp.isfinite(graph.edge_cost[last, nearest])
+    is_edge = (last != NO_NODE) & (last != nearest) & has_edge
+
+    # Whoever leaves the scene comes back from no node.
+    last = jnp.where(present, last, NO_NODE)
+    node = jnp.where(arrived, nearest, last)
+    return node, arrived & is_edge
 
 
-def _walks_by_edge(graph: BehaviorGraph | None, frames: Trajectory, index: Array, n_spans: int) -> Array:
-    """(n_spans, M, M) people who walked each edge in each span; ``index`` (T,) is the span of each frame."""
+def _walks_by_edge(graph: BehaviorGraph | None, frames: Trajectory, span_index: Array, n_spans: int) -> Array:
+    """(n_spans, M, M) people who walked each edge in each span; ``span_index`` (T,) is the span of each frame."""
     if graph is None:
         return jnp.zeros((n_spans, 0, 0), float)
     nodes = graph.radius.shape[0]
@@ -136,9 +163,11 @@ def _walks_by_edge(graph: BehaviorGraph | None, frames: Trajectory, index: Array
         last, count = carry
         people, present, span = frame
         node, walked = track_nodes(graph, last, people, present)
-        return (node, count.at[span, last, node].add(walked.astype(float))), None
+        count = count.at[span, last, node].add(walked.astype(float))
+        return (node, count), None
 
     nowhere = jnp.full(frames.present.shape[1:], NO_NODE, jnp.int32)
-    start = nowhere, jnp.zeros((n_spans, nodes, nodes), float)
-    (_, count), _ = jax.lax.scan(count_frame, start, (frames.people, frames.present, index))
+    no_walks = jnp.zeros((n_spans, nodes, nodes), float)
+    rows = frames.people, frames.present, span_index
+    (_, count), _ = jax.lax.scan(count_frame, (nowhere, no_walks), rows)
     return count

@@ -92,7 +92,7 @@ class Walking:
         self, fx: Float[Array, "N"], fy: Float[Array, "N"], heading: Float[Array, "N 2"]
     ) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
         """The social force [m/s2] scaled by ``backward_scale`` against the heading and damped across it."""
-        hx, hy = heading[:, 0], heading[:, 1]
+        hx, hy = components(heading)
         along = fx * hx + fy * hy
         across = fy * hx - fx * hy
         along = jnp.where(along < 0.0, along * self.backward_scale, along)
@@ -127,7 +127,8 @@ class Walking:
         """
         if self.depth is None or shape is None:
             return 2.0 * self.radius
-        along, across = dx * dx, dy * dy
+        along = dx * dx
+        across = dy * dy
         inverse = jax.lax.rsqrt(along + across + TINY)
         turned = shape[0] * (along - across) + shape[1] * (dx * dy)
         return (self.radius + self.depth) + turned * (inverse * inverse)
@@ -146,8 +147,14 @@ class Walking:
         speed_max = jnp.maximum(self.speed_ratio * preferred_speed, 0.0)
         speed = length(vx, vy)
         too_fast = speed > speed_max
-        slower = jnp.where(too_fast, speed_max / jnp.where(too_fast, speed, 1.0), 1.0)
+        divisor = jnp.where(too_fast, speed, 1.0)
+        slower = jnp.where(too_fast, speed_max / divisor, 1.0)
         return vx * slower, vy * slower
+
+
+def components(vectors: Float[Array, "*batch 2"]) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """The x and the y of vectors, in which laws are written."""
+    return vectors[..., 0], vectors[..., 1]
 
 
 def is_standing(people: Pedestrians) -> Bool[Array, "N"]:
@@ -158,9 +165,12 @@ def is_standing(people: Pedestrians) -> Bool[Array, "N"]:
 
 def look_direction(people: Pedestrians) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
     """The look of each person, a unit vector: along the desired velocity, or along the heading when they stand."""
-    x, y = unit(people.desired_velocity[:, 0], people.desired_velocity[:, 1])
+    x, y = unit(*components(people.desired_velocity))
+    heading_x, heading_y = components(people.heading)
     standing = is_standing(people) | ((x == 0.0) & (y == 0.0))
-    return jnp.where(standing, people.heading[:, 0], x), jnp.where(standing, people.heading[:, 1], y)
+    look_x = jnp.where(standing, heading_x, x)
+    look_y = jnp.where(standing, heading_y, y)
+    return look_x, look_y
 
 
 def turn(
@@ -174,9 +184,11 @@ def turn(
     Standing group members keep theirs, and so do people who are slower than ``min_speed`` [m/s].
     """
     cosine, sine = _turn_by(people.heading, velocity, max_angle)
-    walking = ~is_standing(people) & (length(velocity[:, 0], velocity[:, 1]) > min_speed)
-    x, y = people.heading[:, 0], people.heading[:, 1]
-    x, y = rotate(x, y, jnp.where(walking, cosine, 1.0), jnp.where(walking, sine, 0.0))
+    speed = length(*components(velocity))
+    walking = ~is_standing(people) & (speed > min_speed)
+    cosine = jnp.where(walking, cosine, 1.0)
+    sine = jnp.where(walking, sine, 0.0)
+    x, y = rotate(*components(people.heading), cosine, sine)
     return jnp.stack(unit(x, y), -1)
 
 
@@ -184,7 +196,8 @@ def turn_heading(
     heading: Float[Array, "N 2"], goal: Float[Array, "N 2"], max_angle: Float[Array, ""] | float
 ) -> Float[Array, "N 2"]:
     """Headings turned towards other directions by ``max_angle`` [rad] at most."""
-    x, y = rotate(heading[:, 0], heading[:, 1], *_turn_by(heading, goal, max_angle))
+    cosine, sine = _turn_by(heading, goal, max_angle)
+    x, y = rotate(*components(heading), cosine, sine)
     return jnp.stack(unit(x, y), -1)
 
 
@@ -192,8 +205,8 @@ def _turn_by(
     heading: Float[Array, "N 2"], goal: Float[Array, "N 2"], max_angle: Float[Array, ""] | float
 ) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
     """Cosine and sine of the angle from headings to other directions, bounded by ``max_angle`` [rad]."""
-    x, y = heading[:, 0], heading[:, 1]
-    goal_x, goal_y = unit(goal[:, 0], goal[:, 1])
+    x, y = components(heading)
+    goal_x, goal_y = unit(*components(goal))
 
     # Of the angle between both, without trigonometry.
     cosine = x * goal_x + y * goal_y
@@ -201,7 +214,8 @@ def _turn_by(
     max_angle = jnp.minimum(max_angle, jnp.pi)
     within = cosine >= jnp.cos(max_angle)
     cosine = jnp.where(within, cosine, jnp.cos(max_angle))
-    sine = jnp.where(within, sine, jnp.where(sine < 0.0, -jnp.sin(max_angle), jnp.sin(max_angle)))
+    bounded = jnp.where(sine < 0.0, -jnp.sin(max_angle), jnp.sin(max_angle))
+    sine = jnp.where(within, sine, bounded)
     return cosine, sine
 
 
@@ -355,9 +369,11 @@ class Forces:
             fields = [known.name for known in dataclasses.fields(getattr(self, name))]
             if field not in fields:
                 raise InputError(f"forces.{path}: '{name}' has no such parameter{suggest(field, fields)}")
-            number = isinstance(value, (int, float, np.ndarray, np.generic)) and not isinstance(value, bool)
-            changes.setdefault(name, {})[field] = np.asarray(value, float) if number else value
-        return self.replace(**{name: dataclasses.replace(getattr(self, name), **new) for name, new in changes.items()})
+            if isinstance(value, (int, float, np.ndarray, np.generic)) and not isinstance(value, bool):
+                value = np.asarray(value, float)
+            changes.setdefault(name, {})[field] = value
+        terms = {name: dataclasses.replace(getattr(self, name), **fields) for name, fields in changes.items()}
+        return self.replace(**terms)
 
     def tree_flatten_with_keys(self) -> tuple[list, None]:
         """Terms as children, each keyed by its name; part of being a pytree."""
@@ -384,7 +400,8 @@ def sum_pair_terms(terms: tuple[PairTerm, ...], pair: Pair) -> Force:
     fx, fy = force_of(terms[0].pair, "pair", pair)
     for term in terms[1:]:
         gx, gy = force_of(term.pair, "pair", pair)
-        fx, fy = fx + gx, fy + gy
+        fx = fx + gx
+        fy = fy + gy
     return fx, fy
 
 
@@ -392,8 +409,12 @@ def over_robots(crowd: Crowd, law: Callable[[Crowd], Any]) -> Any:
     """``law(crowd)``; of several robots (M, ...) with radii (M,), the sum of the law with each."""
     if crowd.robot is None or crowd.robot.position.ndim == 1:
         return law(crowd)
-    by_robots = jax.vmap(lambda robot, radius: law(crowd._replace(robot=robot, robot_radius=radius)))
-    return jax.tree.map(lambda leaf: leaf.sum(0), by_robots(crowd.robot, crowd.robot_radius))
+
+    def with_one(robot: Robot, radius: Array | float) -> Any:
+        return law(crowd._replace(robot=robot, robot_radius=radius))
+
+    results = jax.vmap(with_one)(crowd.robot, crowd.robot_radius)
+    return jax.tree.map(lambda leaf: leaf.sum(0), results)
 
 
 def gather(terms: tuple[GatherTerm, ...], pair: Pair) -> tuple[tuple[Array, ...], ...]:

@@ -5,7 +5,6 @@ bit for each of them within reach; a second loop evaluates the law for the set b
 person with the most neighbors.
 """
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -51,7 +50,25 @@ class _Row(NamedTuple):
 
 
 def _rows(operands: Sequence[Any], scenario: Any, scenarios: int) -> list[_Row]:
-    return [_Row(operand, gpu_kernels.row(operand, scenario, scenarios)) for operand in operands]
+    """The row of a scenario in each of the operands."""
+    rows = []
+    for operand in operands:
+        index = gpu_kernels.row(operand, scenario, scenarios)
+        rows.append(_Row(operand, index))
+    return rows
+
+
+def _scenarios(operands: Sequence[Array]) -> int:
+    """The number of scenarios, for which an operand has rows unless it is shared."""
+    return max(operand.shape[0] for operand in operands)
+
+
+def _split(number: Any, size: int) -> tuple[Any, Any]:
+    """The scenario of a thread, and its number in the scenario, which has ``size`` threads."""
+    divisor = np.int32(size)
+    scenario = jax.lax.div(number, divisor)
+    place = jax.lax.rem(number, divisor)
+    return scenario, place
 
 
 def trace(law: Callable, near: Any, shared: Array, own: Rows, other: Rows) -> ClosedJaxpr | None:
@@ -60,27 +77,40 @@ def trace(law: Callable, near: Any, shared: Array, own: Rows, other: Rows) -> Cl
     The crowd has 1 to 256 people, or known neighbors. The law takes the shared numbers as a sequence of scalars.
     """
     people = own[0].shape[0]
-    if not people or (near is None and people > MOST) or not gpu_kernels.available():
+    too_many = near is None and people > MOST
+    if not people or too_many or not gpu_kernels.available():
         return None
     if any(leaf.dtype != np.float32 for leaf in (shared, *own, *other)):
         return None
+
     scalar = jax.ShapeDtypeStruct((), shared.dtype)
-    program = jax.make_jaxpr(law)(*((scalar,) * len(rows) for rows in (shared, own, other)))
-    return program if gpu_kernels.elementwise(program) else None
+    arguments = [(scalar,) * len(numbers) for numbers in (shared, own, other)]
+    program = jax.make_jaxpr(law)(*arguments)
+    if not gpu_kernels.elementwise(program):
+        return None
+    return program
 
 
 def sum_pairs(
     program: ClosedJaxpr, near: Any, reach: Array, shared: Float[Array, "P"], own: Rows, other: Rows
 ) -> Float[Array, "C N"]:
     """The numbers of the law, summed over the others within reach [m]. The first two rows are x and y [m]."""
-    shape = _PairsShape(program, len(own[0]), len(own), len(other), len(shared))
-    operands = [jnp.concatenate([(reach * reach)[None], shared])]
+    people = len(own[0])
+    shape = _PairsShape(program, people, len(own), len(other), len(shared))
+    square = reach * reach
+    operands = [jnp.concatenate([square[None], shared])]
     if near is not None:
-        sorted_x, sorted_y = jnp.stack(other[:2])[:, near.order]
-        operands += [near.order, near.first.T.reshape(-1), near.last.T.reshape(-1), sorted_x, sorted_y]
+        position = jnp.stack(other[:2])  # (2, N) m
+        sorted_x, sorted_y = position[:, near.order]
+        first = near.first.T.reshape(-1)  # (3 N,)
+        last = near.last.T.reshape(-1)
+        operands += [near.order, first, last, sorted_x, sorted_y]
+
+    # Operands have an axis of scenarios, here of one.
+    operands = [operand[None] for operand in (*operands, *own, *other)]
     call = gpu_kernels.batch(partial(_call, shape), 1)
-    (sums,) = call(*(operand[None] for operand in (*operands, *own, *other)))
-    return sums.reshape(-1, shape.people)
+    (sums,) = call(*operands)
+    return sums.reshape(-1, people)
 
 
 class _All(NamedTuple):
@@ -91,7 +121,7 @@ class _All(NamedTuple):
 
     @property
     def words(self) -> int:
-        """In which they are tested at once."""
+        """The number of words in which they are tested at once."""
         return -(-self.people // BITS)
 
     def column(self, number: Any) -> Any:
@@ -107,7 +137,9 @@ class _All(NamedTuple):
     def turns(self, begin: int) -> tuple[int, range]:
         """Turns of ``UNROLL`` in the word that begins there, and the rest."""
         count = min(BITS, self.people - begin)
-        return count // UNROLL, range(count // UNROLL * UNROLL, count)
+        turns = count // UNROLL
+        rest = range(turns * UNROLL, count)
+        return turns, rest
 
     def over_parts(self, add_part: Callable, sums: tuple) -> tuple:
         """The sums after ``add_part(begin, sums)`` for each part."""
@@ -120,19 +152,26 @@ class _Runs:
     words = WORDS
 
     def __init__(self, first: list, last: list, place: Any, people: int, person_at: Callable) -> None:
-        below, own, above = (end - begin for begin, end in zip(first, last, strict=True))
-        self.bounds = below, below + own
+        below = last[0] - first[0]
+        own = last[1] - first[1]
+        above = last[2] - first[2]
+        self.begin_own = below  # the number of the first other of the own run
+        self.begin_above = below + own
         self.count = below + own + above
-        self.starts = first[0], first[1] - below, first[2] - below - own
+
+        # From the number of an other to the column in the sorted crowd, for each run.
+        self.shift_below = first[0]
+        self.shift_own = first[1] - below
+        self.shift_above = first[2] - below - own
         self.itself = below + place - first[1]
         self.people = people
         self.person_at = person_at
 
     def column(self, number: Any) -> Any:
         """Where in the sorted crowd one is."""
-        start = jnp.where(number < self.bounds[1], self.starts[1], self.starts[2])
-        start = jnp.where(number < self.bounds[0], self.starts[0], start)
-        return jnp.minimum(number + start, self.people - 1)
+        shift = jnp.where(number < self.begin_above, self.shift_own, self.shift_above)
+        shift = jnp.where(number < self.begin_own, self.shift_below, shift)
+        return jnp.minimum(number + shift, self.people - 1)
 
     def person(self, number: Any) -> Any:
         """Where in the rows one is."""
@@ -144,27 +183,34 @@ class _Runs:
 
     def turns(self, begin: Any) -> tuple[Any, tuple]:
         """Turns of ``UNROLL`` in the word that begins there."""
-        turns = jax.lax.div(self.count - begin + (UNROLL - 1), np.int32(UNROLL))
-        return jnp.minimum(turns, BITS // UNROLL), ()
+        rounded_up = self.count - begin + (UNROLL - 1)
+        turns = jax.lax.div(rounded_up, np.int32(UNROLL))
+        turns = jnp.minimum(turns, BITS // UNROLL)
+        return turns, ()
 
     def over_parts(self, add_part: Callable, sums: tuple) -> tuple:
         """The sums after ``add_part(begin, sums)`` for each part."""
+
+        def has_others(carry: tuple) -> Any:
+            begin, _ = carry
+            return begin < self.count
 
         def add_next(carry: tuple) -> tuple:
             begin, sums = carry
             return begin + self.words * BITS, add_part(begin, sums)
 
-        _, sums = jax.lax.while_loop(lambda carry: carry[0] < self.count, add_next, (np.int32(0), sums))
+        _, sums = jax.lax.while_loop(has_others, add_next, (np.int32(0), sums))
         return sums
 
 
 def _call(shape: _PairsShape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
     """A ``gpu_kernels.Call``: the sums of all people of all scenarios."""
-    scenarios = max(operand.shape[0] for operand in operands)
+    scenarios = _scenarios(operands)
     columns = len(shape.law.out_avals) * shape.people
-    out = (jax.ShapeDtypeStruct((scenarios, columns), operands[0].dtype),)
+    sums = jax.ShapeDtypeStruct((scenarios, columns), operands[0].dtype)
     threads = scenarios * shape.people
-    return gpu_kernels.launch_threads(partial(_kernel, shape), "pairs", threads, out, *operands, interpret=interpret)
+    kernel = partial(_kernel, shape)
+    return gpu_kernels.launch_threads(kernel, "pairs", threads, (sums,), *operands, interpret=interpret)
 
 
 class _Thread(NamedTuple):
@@ -184,30 +230,37 @@ def _kernel(shape: _PairsShape, number: Any, *references: Any) -> None:
     people = shape.people
 
     # The batch axes of vmap are scenarios: their people are threads of one launch.
-    scenario, place = jax.lax.div(number, np.int32(people)), jax.lax.rem(number, np.int32(people))
+    scenario, place = _split(number, people)
     *inputs, result = references
 
     # Operands are the shared numbers, five arrays of runs in a large crowd, own rows and rows of the others.
     rows = _rows(inputs, scenario, result.shape[0])
-    numbers, *runs = rows[: -shape.own - shape.other]
-    own = rows[-shape.own - shape.other : -shape.other]
-    other = rows[-shape.other :]
+    first_own = len(rows) - shape.own - shape.other
+    first_other = len(rows) - shape.other
+    numbers, *runs = rows[:first_own]
+    own = rows[first_own:first_other]
+    other = rows[first_other:]
     square, *shared = (numbers.at(i) for i in range(shape.shared + 1))
 
     # Threads of a large crowd go in its sorted order: those of a warp have much the same neighbors.
     if runs:
         order, first, last, x, y = runs
         person = order.at(place)
-        begins, ends = ([row.at(run * people + place) for run in range(3)] for row in (first, last))
+        columns = [run * people + place for run in range(3)]
+        begins = [first.at(column) for column in columns]
+        ends = [last.at(column) for column in columns]
         others = _Runs(begins, ends, place, people, order.at)
     else:
         person = place
         others = _All(place, people)
         x, y = other[:2]
-    thread = _Thread(others, shared, square, [row.at(person) for row in own], other, x, y)
+    own_row = [row.at(person) for row in own]
+    thread = _Thread(others, shared, square, own_row, other, x, y)
 
     zero = square.dtype.type(0.0)  # zeros_like is an array, which Mosaic refuses
-    sums = others.over_parts(partial(_add_part, shape.law, thread), (zero,) * len(shape.law.out_avals))
+    zeros = (zero,) * len(shape.law.out_avals)
+    add_part = partial(_add_part, shape.law, thread)
+    sums = others.over_parts(add_part, zeros)
 
     # Results are by person again, sum after sum.
     for index, value in enumerate(sums):
@@ -217,8 +270,9 @@ def _kernel(shape: _PairsShape, number: Any, *references: Any) -> None:
 def _add_part(law: ClosedJaxpr, thread: _Thread, begin: Any, sums: tuple) -> tuple:
     """The sums, with the others within reach among the words of bits that begin there."""
     words = tuple(_word_within_reach(thread, begin + i * BITS) for i in range(thread.others.words))
+    add_next = partial(_add_next, law, thread, begin)
     with jax.named_scope("within_reach"):
-        _, sums = jax.lax.while_loop(_any_bit, partial(_add_next, law, thread, begin), (words, sums))
+        _, sums = jax.lax.while_loop(_any_bit, add_next, (words, sums))
     return sums
 
 
@@ -237,19 +291,25 @@ def _word_within_reach(thread: _Thread, begin: Any) -> Any:
     for j in rest:
         bits = bits | _bit_within_reach(thread, begin, j)
 
+    # A shift by the size of a word or more is undefined, so it is masked where the person is in no bit of this word.
     itself = thread.others.itself - begin
     own_bit = jax.lax.shift_left(np.int32(1), itself & (BITS - 1))
-    return bits & ~jnp.where((itself >= 0) & (itself < BITS), own_bit, np.int32(0))
+    in_word = (itself >= 0) & (itself < BITS)
+    own_bit = jnp.where(in_word, own_bit, np.int32(0))
+    return bits & ~own_bit
 
 
 def _bit_within_reach(thread: _Thread, begin: Any, j: Any) -> Any:
     """The j-th bit of a word, if that other is within reach."""
     others = thread.others
     column = others.column(begin + j)
-    dx = thread.own[0] - thread.x.at(column)
-    dy = thread.own[1] - thread.y.at(column)
-    inside = others.valid(begin + j, dx * dx + dy * dy < thread.square)
-    return jnp.where(inside, jax.lax.shift_left(np.int32(1), jnp.int32(j)), np.int32(0))
+    px, py = thread.own[:2]
+    dx = px - thread.x.at(column)
+    dy = py - thread.y.at(column)
+    near = dx * dx + dy * dy < thread.square
+    valid = others.valid(begin + j, near)
+    bit = jax.lax.shift_left(np.int32(1), jnp.int32(j))
+    return jnp.where(valid, bit, np.int32(0))
 
 
 def _any_bit(carry: tuple) -> Any:
@@ -266,17 +326,24 @@ def _add_next(law: ClosedJaxpr, thread: _Thread, begin: Any, carry: tuple) -> tu
     words, sums = carry
 
     # The first word that is not zero.
-    current, which = words[-1], np.int32(len(words) - 1)
-    for i, word in reversed(list(enumerate(words[:-1]))):
-        current, which = jnp.where(word != 0, word, current), jnp.where(word != 0, np.int32(i), which)
-    cleared = [jnp.where(which == i, current & (current - 1), word) for i, word in enumerate(words)]
+    last = len(words) - 1
+    current = words[last]
+    which = np.int32(last)
+    for i in reversed(range(last)):
+        is_set = words[i] != 0
+        current = jnp.where(is_set, words[i], current)
+        which = jnp.where(is_set, np.int32(i), which)
 
     # Its lowest bit: 31 less its leading zeros.
-    bit = begin + which * BITS + (BITS - 1) - jax.lax.clz(current & -current)
-    person = thread.others.person(bit)
+    cleared = [jnp.where(which == i, current & (current - 1), word) for i, word in enumerate(words)]
+    lowest = current & -current
+    number = begin + which * BITS + (BITS - 1) - jax.lax.clz(lowest)
+
+    person = thread.others.person(number)
     other = [row.at(person) for row in thread.other]
     numbers = gpu_kernels.evaluate(law, *thread.shared, *thread.own, *other)
-    return tuple(cleared), tuple(map(jnp.add, sums, numbers))
+    sums = tuple(map(jnp.add, sums, numbers))
+    return tuple(cleared), sums
 
 
 # --- where in a sorted row values begin and end ---
@@ -284,26 +351,29 @@ def _add_next(law: ClosedJaxpr, thread: _Thread, begin: Any, carry: tuple) -> tu
 
 def search(row: Float[Array, "N"], low: Float[Array, "..."], high: Float[Array, "..."]) -> tuple[Array, Array]:
     """Where in a sorted row the values begin that are at least ``low``, and end that are at most ``high``."""
-    operands = (values.reshape(1, -1) for values in (row, low, high))
-    first, last = gpu_kernels.batch(_call_search, 2)(*operands)
+    operands = [values.reshape(1, -1) for values in (row, low, high)]
+    call = gpu_kernels.batch(_call_search, 2)
+    first, last = call(*operands)
     return first.reshape(low.shape), last.reshape(low.shape)
 
 
 def _call_search(*operands: Array, interpret: bool = False) -> tuple[Array, ...]:
     """A ``gpu_kernels.Call``: both ends of all runs of all scenarios."""
-    shape = max(operand.shape[0] for operand in operands), operands[1].shape[1]
-    out = (jax.ShapeDtypeStruct(shape, jnp.int32),) * 2
-    return gpu_kernels.launch_threads(_search, "search", math.prod(shape), out, *operands, interpret=interpret)
+    scenarios = _scenarios(operands)
+    queries = operands[1].shape[1]
+    ends = jax.ShapeDtypeStruct((scenarios, queries), jnp.int32)
+    threads = scenarios * queries
+    return gpu_kernels.launch_threads(_search, "search", threads, (ends, ends), *operands, interpret=interpret)
 
 
 def _search(number: Any, *references: Any) -> None:
     """One thread: both ends of one run."""
     *inputs, first, last = references
-    queries = np.int32(inputs[1].shape[1])
-    scenario, query = jax.lax.div(number, queries), jax.lax.rem(number, queries)
+    queries = inputs[1].shape[1]
+    scenario, query = _split(number, queries)
     row, low, high = _rows(inputs, scenario, first.shape[0])
-    for bound, result, before in ((low, first, jax.lax.lt), (high, last, jax.lax.le)):
-        result[scenario, query] = _bisect(row, bound.at(query), before)
+    first[scenario, query] = _bisect(row, low.at(query), jax.lax.lt)
+    last[scenario, query] = _bisect(row, high.at(query), jax.lax.le)
 
 
 def _bisect(row: _Row, value: Any, before: Callable) -> Any:
@@ -313,8 +383,11 @@ def _bisect(row: _Row, value: Any, before: Callable) -> Any:
     def halve(_: Any, ends: tuple) -> tuple:
         low, high = ends
         middle = jax.lax.div(low + high, np.int32(2))
-        later = before(row.at(jnp.minimum(middle, length - 1)), value) & (low < high)
-        return jnp.where(later, middle + 1, low), jnp.where(later, high, middle)
+        scalar = row.at(jnp.minimum(middle, length - 1))
+        later = before(scalar, value) & (low < high)
+        new_low = jnp.where(later, middle + 1, low)
+        new_high = jnp.where(later, high, middle)
+        return new_low, new_high
 
     low, _ = jax.lax.fori_loop(0, length.bit_length(), halve, (np.int32(0), np.int32(length)))
     return low
@@ -331,8 +404,13 @@ class _Arguments(NamedTuple):
 
     def from_scalars(self, numbers: Iterable, own: Iterable) -> Any:
         """The arguments of one person."""
-        numbers, own = iter(numbers), iter(own)
-        return self.structure.unflatten([next(own if is_own else numbers) for is_own in self.own])
+        numbers = iter(numbers)
+        own = iter(own)
+        leaves = []
+        for is_own in self.own:
+            source = own if is_own else numbers
+            leaves.append(next(source))
+        return self.structure.unflatten(leaves)
 
 
 def at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, *arguments: Any) -> tuple[Array, ...]:
@@ -342,14 +420,25 @@ def at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, *
     person's cell. Arguments are (N,) or for all people.
     """
     leaves, structure = jax.tree.flatten(arguments)
-    layout = _Arguments(structure, tuple(bool(jnp.ndim(leaf)) for leaf in leaves))
-    rows = px, py, *(leaf for leaf in leaves if jnp.ndim(leaf))
-    numbers = jnp.stack([px.dtype.type(0.0), *(leaf for leaf in leaves if not jnp.ndim(leaf))])
+    is_own = tuple(bool(jnp.ndim(leaf)) for leaf in leaves)
+    layout = _Arguments(structure, is_own)
 
-    cells = jnp.ravel_multi_index(obstacle_cells(grid, px, py), grid.rows.shape[:2], mode="clip").astype(jnp.int32)
-    operands = grid.rows.reshape(-1), numbers, cells, *rows
-    call = gpu_kernels.batch(partial(_call_obstacles, function, layout, grid.rows.shape[2]), 1)
-    (results,) = call(*(operand[None] for operand in operands))
+    # Numbers for all people are one array, which begins with a zero: it exists without numbers, too.
+    rows = [px, py]
+    numbers = [px.dtype.type(0.0)]
+    for leaf, own in zip(leaves, is_own, strict=True):
+        destination = rows if own else numbers
+        destination.append(leaf)
+    numbers = jnp.stack(numbers)
+
+    index = obstacle_cells(grid, px, py)
+    cells = jnp.ravel_multi_index(index, grid.rows.shape[:2], mode="clip")  # (N,)
+    cells = cells.astype(jnp.int32)
+    table = grid.rows.reshape(-1)
+    operands = [operand[None] for operand in (table, numbers, cells, *rows)]
+    count = grid.rows.shape[2]
+    call = gpu_kernels.batch(partial(_call_obstacles, function, layout, count), 1)
+    (results,) = call(*operands)
     return tuple(results.reshape(-1, len(px)))
 
 
@@ -357,26 +446,32 @@ def _call_obstacles(
     function: Callable, layout: _Arguments, count: int, *operands: Array, interpret: bool = False
 ) -> tuple[Array, ...]:
     """A ``gpu_kernels.Call``: the function of all people, in cells of ``count`` obstacles."""
-    scenarios, people = max(operand.shape[0] for operand in operands), operands[2].shape[1]
-    out = (jax.ShapeDtypeStruct((scenarios, 2 * people), operands[0].dtype),)
+    scenarios = _scenarios(operands)
+    people = operands[2].shape[1]
+    results = jax.ShapeDtypeStruct((scenarios, 2 * people), operands[0].dtype)
+    threads = scenarios * people
     kernel = partial(_obstacles, function, layout, count, people)
-    return gpu_kernels.launch_threads(kernel, "obstacles", scenarios * people, out, *operands, interpret=interpret)
+    return gpu_kernels.launch_threads(kernel, "obstacles", threads, (results,), *operands, interpret=interpret)
 
 
 def _obstacles(function: Callable, layout: _Arguments, count: int, people: int, number: Any, *references: Any) -> None:
     """One thread: the function of one person."""
-    scenario, person = jax.lax.div(number, np.int32(people)), jax.lax.rem(number, np.int32(people))
+    scenario, person = _split(number, people)
     *inputs, result = references
     table, numbers, cells, *rows = _rows(inputs, scenario, result.shape[0])
     px, py, *own = (row.at(person) for row in rows)
     n_shared = len(layout.own) - sum(layout.own)
-    arguments = layout.from_scalars((numbers.at(1 + i) for i in range(n_shared)), own)
+    shared = [numbers.at(1 + i) for i in range(n_shared)]
+    arguments = layout.from_scalars(shared, own)
     first = cells.at(person) * (count * COLUMNS)
 
     def over(step: Callable, start: Any) -> Any:
         def is_obstacle(carry: tuple) -> Any:
             k, _ = carry
-            return (k < count) & (table.at(first + jnp.minimum(k, count - 1) * COLUMNS) != FAR)
+            within_cell = k < count
+            last = jnp.minimum(k, count - 1)
+            center_x = table.at(first + last * COLUMNS)
+            return within_cell & (center_x != FAR)
 
         def take_step(carry: tuple) -> tuple:
             k, total = carry

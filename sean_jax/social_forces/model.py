@@ -23,6 +23,7 @@ from sean_jax.social_forces.forces import (
     PairTerm,
     PersonTerm,
     Walking,
+    components,
     force_of,
     gather,
     is_standing,
@@ -33,7 +34,7 @@ from sean_jax.social_forces.forces import (
 )
 from sean_jax.social_forces.neighbors import ABSENT, MIN_PEOPLE, Neighbors, find, sum_pairs
 from sean_jax.social_forces.reactions import Reactions, nearest_robot
-from sean_jax.social_forces.terms import Cohesion, Evasion, Noise, Repulsion, RobotRepulsion
+from sean_jax.social_forces.terms import Cohesion, Noise, Repulsion, RobotRepulsion, evasion_factors
 from sean_jax.social_forces.walls import Contact, project_velocity
 
 SUMS = "pair sums"  # reverse mode stores these of a step, and the state; the rest is recomputed
@@ -52,8 +53,10 @@ def draw_traits(forces: Forces, key: Array, people: int) -> tuple[Float[Array, "
     walking = forces.walking
     speed_key, robot_key = jax.random.split(key)
     deviation = jnp.maximum(walking.speed_deviation, 1e-6)
-    lower = jnp.minimum((walking.speed_min - walking.speed_mean) / deviation, -1e-3)
-    upper = jnp.maximum((walking.speed_max - walking.speed_mean) / deviation, 1e-3)
+    lower = (walking.speed_min - walking.speed_mean) / deviation
+    lower = jnp.minimum(lower, -1e-3)
+    upper = (walking.speed_max - walking.speed_mean) / deviation
+    upper = jnp.maximum(upper, 1e-3)
     normal = jax.random.truncated_normal(speed_key, lower, upper, (people,), float)
     speed = walking.speed_mean + walking.speed_deviation * normal
 
@@ -62,7 +65,8 @@ def draw_traits(forces: Forces, key: Array, people: int) -> tuple[Float[Array, "
     if robot is None or repulsion is None:
         return speed, jnp.zeros(people, float)
     factor = jax.random.uniform(robot_key, (people,), float, robot.factor_min, robot.factor_max)
-    return speed, repulsion.range * jnp.log(factor)
+    distance = repulsion.range * jnp.log(factor)
+    return speed, distance
 
 
 def individualize(forces: Forces, people: Pedestrians, key: Array) -> Pedestrians:
@@ -81,8 +85,11 @@ def individualize(forces: Forces, people: Pedestrians, key: Array) -> Pedestrian
     noise = None
     if forces.get(Noise) is not None:
         noise = jax.random.normal(noise_key, (n_people, 2), float)
+
+    reaction = None
     reactions = forces.get(Reactions)
-    reaction = None if reactions is None else reactions.draw(reaction_key, n_people)
+    if reactions is not None:
+        reaction = reactions.draw(reaction_key, n_people)
     return replace(people, traits=traits, noise=noise, reaction=reaction)
 
 
@@ -98,8 +105,10 @@ def move(scenario: Scenario, state: State) -> Pedestrians:
 
     def substep(people: Pedestrians, _):
         forces = unravel(numbers)
-        return integrate(forces, people, grid, state.groups, state.robot, time_step, radius, companions, near), None
+        people = integrate(forces, people, grid, state.groups, state.robot, time_step, radius, companions, near)
+        return people, None
 
+    # Without this, reverse mode would store every number of every substep.
     keep = jax.checkpoint_policies.save_only_these_names(SUMS)
     substep = jax.checkpoint(substep, prevent_cse=False, policy=keep)
     people, _ = jax.lax.scan(substep, people, length=scenario.substeps)
@@ -143,7 +152,8 @@ def integrate(
         near: the result of ``neighbors`` for some steps; None: computed for this step.
     """
     # Callers of several steps find neighbors once, with a margin for motion; a single step needs none (0 s).
-    near = neighbors(forces, people, 0.0) if near is None else near
+    if near is None:
+        near = neighbors(forces, people, 0.0)
     walking = forces.walking
     reactions = forces.get(Reactions)
     desired_velocity = people.desired_velocity
@@ -152,25 +162,34 @@ def integrate(
     gaze = None
     if reactions is not None and robot is not None:
         nearest = nearest_robot(people, robot)
-        people = replace(people, desired_velocity=reactions.desire(people, nearest))
+        wanted_velocity = reactions.desire(people, nearest)
+        people = replace(people, desired_velocity=wanted_velocity)
         gaze = reactions.gaze(people, nearest)
 
     # A semi-implicit Euler step: positions follow from the new velocities, which obstacles have bounded.
-    px, py = people.position[:, 0], people.position[:, 1]
-    vx, vy = people.velocity[:, 0], people.velocity[:, 1]
-    crowd = Crowd(forces, people, *look_direction(people), obstacle_grid, groups, robot, robot_radius, companions)
+    px, py = components(people.position)
+    vx, vy = components(people.velocity)
+    look_x, look_y = look_direction(people)
+    crowd = Crowd(forces, people, look_x, look_y, obstacle_grid, groups, robot, robot_radius, companions)
     ax, ay = _accelerations(crowd, near, vx, vy)
-    vx, vy = walking.limit_speed(vx + ax * time_step, vy + ay * time_step, people.preferred_speed)
+    vx = vx + ax * time_step
+    vy = vy + ay * time_step
+    vx, vy = walking.limit_speed(vx, vy, people.preferred_speed)
     if obstacle_grid is not None:
         friction = _wall_friction(forces)
         vx, vy = project_velocity(px, py, vx, vy, obstacle_grid, walking.radius, time_step, friction)
         vx, vy = jax.lax.optimization_barrier((vx, vy))  # XLA for a GPU would compute both twice: for x and for y
 
     # Absent people have no velocity, or padding would drift; bodies turn into their motion, or to the robot.
-    velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)  # (N, 2)
-    towards = velocity if walking.facing is None else velocity + walking.facing * desired_velocity
-    towards = towards if gaze is None else towards + gaze
-    min_speed = MIN_SPEED if walking.facing is None else PUSHED_SPEED
+    velocity = jnp.stack([vx, vy], -1)  # (N, 2)
+    velocity = jnp.where(people.present[:, None], velocity, 0.0)
+    towards = velocity
+    min_speed = MIN_SPEED
+    if walking.facing is not None:
+        towards = towards + walking.facing * desired_velocity
+        min_speed = PUSHED_SPEED
+    if gaze is not None:
+        towards = towards + gaze
     heading = turn(people, towards, walking.turn_rate * time_step, min_speed)
     position = people.position + velocity * time_step
     return replace(people, position=position, velocity=velocity, heading=heading, desired_velocity=desired_velocity)
@@ -184,9 +203,11 @@ def _accelerations(
     walking = crowd.forces.walking
     fx, fy, push_x, push_y = _forces(crowd, near)
     relaxation_time = walking.relaxation(people)
-    ax = (people.desired_velocity[:, 0] - vx) / relaxation_time + fx
-    ay = (people.desired_velocity[:, 1] - vy) / relaxation_time + fy
+    desired_x, desired_y = components(people.desired_velocity)
+    ax = (desired_x - vx) / relaxation_time + fx
+    ay = (desired_y - vy) / relaxation_time + fy
 
+    # Others push however hard; people bound only what they do on purpose.
     ax, ay = walking.bound(ax - push_x, ay - push_y)
     return ax + push_x, ay + push_y
 
@@ -206,9 +227,13 @@ def _forces(crowd: Crowd, near: Neighbors | None) -> tuple[Array, Array, Array |
 
     undamped = [_person_force(term, crowd) for term in terms if not getattr(term, "damped", True)]
     force = _add_up([force, *undamped])
-    zero = jnp.zeros_like(crowd.look_x)
-    fx, fy = (zero, zero) if force is None else force
-    push_x, push_y = (0.0, 0.0) if pushes is None else pushes
+    if force is None:
+        zero = jnp.zeros_like(crowd.look_x)
+        force = zero, zero
+    fx, fy = force
+    if pushes is None:
+        return fx, fy, 0.0, 0.0
+    push_x, push_y = pushes
     return fx, fy, push_x, push_y
 
 
@@ -225,12 +250,17 @@ def cutoff(forces: Forces) -> Float[Array, ""] | None:
 
     None if a term has no cutoff.
     """
-    functions = [getattr(term, "cutoff", None) for term in (*forces.pair_terms, *forces.gather_terms)]
-    cutoffs = [function(forces.walking) for function in functions if function is not None]
-    known = [distance for distance in cutoffs if distance is not None]
-    if not known or len(known) < len(functions):
+    distances = []
+    for term in (*forces.pair_terms, *forces.gather_terms):
+        function = getattr(term, "cutoff", None)
+        distance = None if function is None else function(forces.walking)
+        if distance is None:
+            return None
+        distances.append(distance)
+    if not distances:
         return None
-    return jnp.minimum(forces.walking.perception, jnp.stack(known).max())
+    longest = jnp.stack(distances).max()
+    return jnp.minimum(forces.walking.perception, longest)
 
 
 def neighbors(forces: Forces, people: Pedestrians, time: float) -> Neighbors | None:
@@ -252,21 +282,28 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> tuple[Force | No
     forces = crowd.forces
     if not forces.pair_terms and not forces.gather_terms:
         return None, None
+
+    # People are farther from absent ones than the reach, whatever it is.
     own, other = _rows(crowd)
-    known = cutoff(forces)
+    reach = cutoff(forces)
+    if reach is None:
+        reach = forces.walking.perception
     shared = SharedTerms(
         pair_terms=tuple(term for term in forces.pair_terms if not isinstance(term, Contact)),
         contact=forces.get(Contact),
         gather_terms=forces.gather_terms,
         walking=forces.walking,
-        reach=jnp.minimum(forces.walking.perception if known is None else known, 0.1 * ABSENT),
+        reach=jnp.minimum(reach, 0.1 * ABSENT),
     )
-    force, sums = checkpoint_name(sum_pairs(_pair_law, near, shared.reach, shared, own, other), SUMS)
+    totals = sum_pairs(_pair_law, near, shared.reach, shared, own, other)
+    force, sums = checkpoint_name(totals, SUMS)
 
+    # The robot is one of the others in the sums of gather terms.
     robot = forces.get(RobotRepulsion)
-    by_robot = None if robot is None or not sums else over_robots(crowd, robot.gathered)
-    if by_robot is not None:
-        sums = jax.tree.map(jnp.add, sums, by_robot)
+    if robot is not None and sums:
+        by_robot = over_robots(crowd, robot.gathered)
+        if by_robot is not None:
+            sums = jax.tree.map(jnp.add, sums, by_robot)
     acts = [_act(term, crowd, numbers) for term, numbers in zip(forces.gather_terms, sums, strict=True)]
     return force, _add_up(acts)
 
@@ -288,26 +325,28 @@ class SharedTerms(NamedTuple):
 
 def _rows(crowd: Crowd) -> tuple[tuple[Float[Array, "N"], ...], tuple[Float[Array, "N"], ...]]:
     """The rows of ``_pair_law``: of people as persons, and of people as the others."""
-    forces, people = crowd.forces, crowd.people
-    evasion = forces.get(Evasion)
-    factors = (1.0, 0.0, 1.0) if evasion is None else evasion.individual(people)
+    forces = crowd.forces
+    people = crowd.people
     group = people.group
     if crowd.companions is not None and forces.get(Cohesion) is not None:
         in_walking_group = (group < 0) & (people.walking_group >= 0)
         group = jnp.where(in_walking_group, WALKING_GROUPS + people.walking_group, group)
 
-    position, velocity = people.position, people.velocity
-    rows = position[:, 0], position[:, 1], velocity[:, 0], velocity[:, 1], group.astype(float)
-    other = tuple(jnp.where(people.present, row, ABSENT) for row in rows)
+    # A person has the rows of an other, but another number for no group, so that two people alone differ.
+    rows = *components(people.position), *components(people.velocity), group.astype(float)
+    other = [jnp.where(people.present, row, ABSENT) for row in rows]
     own_group = jnp.where(group >= 0, group, ALONE).astype(float)
     shape = forces.walking.shape(crowd.look_x, crowd.look_y) or ()
-    own = *other[:-1], own_group, *shape, crowd.look_x, crowd.look_y, is_standing(people).astype(float)
+    standing = is_standing(people).astype(float)
+    own = [*other[:-1], own_group, *shape, crowd.look_x, crowd.look_y, standing]
 
     # Factors of ``Evasion`` are rows only if people differ.
-    factors = factors[: 2 if people.reaction is None else 3]
+    factors = evasion_factors(crowd)
+    if people.reaction is None:
+        factors = factors[:2]
     if any(not isinstance(factor, float) for factor in factors):
-        own = *own, *(jnp.broadcast_to(jnp.asarray(factor, float), people.present.shape) for factor in factors)
-    return own, (*other, *shape)
+        own += [jnp.broadcast_to(jnp.asarray(factor, float), people.present.shape) for factor in factors]
+    return tuple(own), (*other, *shape)
 
 
 def _pair_law(shared: SharedTerms, own: Sequence[Array], other: Sequence[Array]) -> tuple[Force | None, tuple]:
@@ -315,25 +354,32 @@ def _pair_law(shared: SharedTerms, own: Sequence[Array], other: Sequence[Array])
     # One pair in scalars: vmap on a CPU and the kernel of a GPU trace the same law.
     qx, qy, wx, wy, other_group, *other_shape = other
     px, py, vx, vy, group, *rows = own
-    own_shape, rows = rows[: len(other_shape)], rows[len(other_shape) :]
-    look_x, look_y, standing, *factors = rows
+    n_shape = len(other_shape)
+    own_shape = rows[:n_shape]
+    look_x, look_y, standing, *factors = rows[n_shape:]
 
     # From the other to the person, so a repulsion is positive along (dx, dy).
-    dx, dy = px - qx, py - qy
+    dx = px - qx
+    dy = py - qy
     dd = dx * dx + dy * dy
 
     # If both sums use the same radii, XLA of jax 0.10 writes them to a GPU's memory for each pair. The radii of
     # (dy, dx) are equal to rounding, and each sum computes its own.
     shape = tuple(map(jnp.add, own_shape, other_shape)) or None
-    mirrored = None if shape is None else (-shape[0], shape[1])
+    mirrored = None
+    if shape is not None:
+        mirrored = -shape[0], shape[1]
     radii = shared.walking.radii(dx, dy, shape)
     gather_radii = shared.walking.radii(dy, dx, mirrored)
 
     # Factors of ``Evasion`` are rows only where people differ in them.
     pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing.astype(bool))
     if factors:
-        pair = pair._replace(**dict(zip(("width", "side", "alertness"), factors, strict=False)))
-    force = sum_pair_terms(shared.pair_terms, pair) if shared.pair_terms else None
+        names = "width", "side", "alertness"
+        pair = pair._replace(**dict(zip(names, factors, strict=False)))
+    force = None
+    if shared.pair_terms:
+        force = sum_pair_terms(shared.pair_terms, pair)
     sums = gather(shared.gather_terms, pair._replace(radii=gather_radii))
 
     # Members of a group touch at most; people alone match no group. dd = 0 is oneself, or somebody at one's place.
@@ -341,8 +387,9 @@ def _pair_law(shared: SharedTerms, own: Sequence[Array], other: Sequence[Array])
     felt = within & (group != other_group)
     force, sums = jax.tree.map(lambda number: jnp.where(felt, number, 0.0), (force, sums))
     if shared.contact is not None:
-        touch = shared.contact.pair(pair._replace(radii=jnp.where(within, radii, -ABSENT)))  # no contact with oneself
-        force = touch if force is None else (force[0] + touch[0], force[1] + touch[1])
+        contact_radii = jnp.where(within, radii, -ABSENT)  # no contact with oneself
+        touch = shared.contact.pair(pair._replace(radii=contact_radii))
+        force = _add_up([force, touch])
     return force, sums
 
 
@@ -355,7 +402,11 @@ def _person_force(term: PersonTerm, crowd: Crowd) -> Force | None:
     without = law(crowd._replace(robot=None, robot_radius=0.0))
     if without is None:
         return over_robots(crowd, law)
-    by_robots = over_robots(crowd, lambda with_robot: jax.tree.map(jnp.subtract, law(with_robot), without))
+
+    def by_robot(with_robot: Crowd) -> Force:
+        return jax.tree.map(jnp.subtract, law(with_robot), without)
+
+    by_robots = over_robots(crowd, by_robot)
     return jax.tree.map(jnp.add, without, by_robots)
 
 
@@ -363,6 +414,8 @@ def _add_up(forces: Iterable[Force | None]) -> Force | None:
     """The sum of the forces that are not None, in their order; None if all are."""
     total = None
     for force in forces:
-        if force is not None:
-            total = force if total is None else (total[0] + force[0], total[1] + force[1])
+        if total is None:
+            total = force
+        elif force is not None:
+            total = total[0] + force[0], total[1] + force[1]
     return total

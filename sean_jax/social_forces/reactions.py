@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 
 from sean_jax.core.data_types import Array, Obstacles, Pedestrians, Reaction, Robot
 from sean_jax.core.geometry import crosses_box, length, unit
-from sean_jax.social_forces.forces import Crowd, Force
+from sean_jax.social_forces.forces import Crowd, Force, components
 
 RAMP = 1.0  # m, over which sight ends and an approach comes to a halt
 BEHIND = -0.34  # 1, cosine of 110 degrees: there sight is zero, and whole at 90; [H] has a step at 100
@@ -38,6 +38,7 @@ class Kind(IntEnum):
 
 
 ENGAGED = Kind.SURPRISED, Kind.CURIOUS, Kind.THREATENING  # they leave their way, and face the robot
+SHARES = tuple(kind.name.lower() for kind in Kind if kind)  # parameters: the shares of all kinds but indifferent people
 
 
 def _constant(value: float) -> Any:
@@ -57,7 +58,7 @@ class Reactions:
     """
 
     limits: ClassVar[dict[str, tuple[float, float]]] = {
-        **dict.fromkeys((kind.name.lower() for kind in Kind if kind), (0.0, 1.0)),
+        **dict.fromkeys(SHARES, (0.0, 1.0)),
         "inattentive": (0.0, 1.0),
         "phone": (0.01, 1.0),
         "sight": (0.0, 1e3),
@@ -71,7 +72,7 @@ class Reactions:
     }
     relations: ClassVar[dict] = {
         "the shares of surprised, curious, cautious, impassive and threatening people sum to more than 1": (
-            lambda term: np.sum([getattr(term, kind.name.lower()) for kind in Kind if kind], 0) > 1.0 + 1e-6
+            lambda term: np.sum(term.shares, 0) > 1.0 + 1e-6
         ),
     }
 
@@ -91,18 +92,26 @@ class Reactions:
     caution: Float[Array, ""] = _constant(2.5)  # m/s, by which cautious people want to get away from where it is ...
     clearance: Float[Array, ""] = _constant(3.0)  # m, ... less at a distance, and not at all from here on [H]
 
+    @property
+    def shares(self) -> list[Array]:
+        """The shares of all kinds but indifferent people."""
+        return [getattr(self, name) for name in SHARES]
+
     def draw(self, key: Array, people: int) -> Reaction:
         """The reactions of people at the start of an episode."""
         kind_key, phone_key = jax.random.split(key)
-        shares = jnp.stack([jnp.asarray(getattr(self, kind.name.lower()), float) for kind in Kind if kind])
+        shares = jnp.stack([jnp.asarray(share, float) for share in self.shares])  # (kinds,)
+        bounds = jnp.cumsum(shares[::-1])  # so the last interval is that of indifferent people
         chance = jax.random.uniform(kind_key, (people,), float)
-        above = chance[:, None] >= jnp.cumsum(shares[::-1])[None]  # so the last interval is that of indifferent people
+        above = chance[:, None] >= bounds[None]  # (N, kinds)
         kind = len(shares) - above.sum(1, dtype=jnp.int32)
 
-        has_phone = jax.random.uniform(phone_key, (people,), float) < self.inattentive
+        chance = jax.random.uniform(phone_key, (people,), float)
+        has_phone = chance < self.inattentive
         alertness = jnp.where(has_phone, self.phone, 1.0).astype(float)
         attention = jnp.zeros(people, float)
-        return Reaction(kind, alertness, attention, jnp.broadcast_to(self.duration, (people,)).astype(float))
+        patience = jnp.broadcast_to(self.duration, (people,)).astype(float)
+        return Reaction(kind, alertness, attention, patience)
 
     def attend(
         self, people: Pedestrians, robot: Robot, obstacles: Obstacles | None, time_step: Float[Array, ""] | float
@@ -111,29 +120,39 @@ class Reactions:
         reaction = people.reaction
         if reaction is None:
             return people
+
+        # People see the robot if it is near, not behind them, and not behind an obstacle.
         dx, dy = _to_robot(people, robot)
         ux, uy = unit(dx, dy)
-        near = jnp.clip((self.sight * reaction.alertness - length(dx, dy)) / RAMP, 0.0, 1.0)
-        cosine = ux * people.heading[:, 0] + uy * people.heading[:, 1]
+        heading_x, heading_y = components(people.heading)
+        sight = self.sight * reaction.alertness  # (N,) m
+        near = jnp.clip((sight - length(dx, dy)) / RAMP, 0.0, 1.0)
+        cosine = ux * heading_x + uy * heading_y
         seen = near * jnp.clip(1.0 - cosine / BEHIND, 0.0, 1.0)
         if obstacles is not None:
-            seen = jnp.where(_hidden(people, robot, obstacles), 0.0, seen)
+            hidden = _hidden(people, robot, obstacles)
+            seen = jnp.where(hidden, 0.0, seen)
+
+        # All but cautious people lose interest.
         interest = jnp.clip(reaction.patience / self.delay, 0.0, 1.0)
         goal = jnp.where(reaction.kind == Kind.CAUTIOUS, seen, seen * interest)
         rise = 1.0 - jnp.exp(-time_step / self.delay)
         attention = reaction.attention + rise * (goal - reaction.attention)
         patience = jnp.maximum(reaction.patience - time_step * attention, 0.0)
-        return replace(people, reaction=replace(reaction, attention=attention, patience=patience))
+        reaction = replace(reaction, attention=attention, patience=patience)
+        return replace(people, reaction=reaction)
 
     def desire(self, people: Pedestrians, robot: Robot) -> Float[Array, "N 2"]:
         """The desired velocities [m/s] of people who see the robot."""
         reaction = people.reaction
         if reaction is None:
             return people.desired_velocity
+
         # Curious people walk up to the robot and stop at a distance.
         dx, dy = _to_robot(people, robot)
         ux, uy = unit(dx, dy)
-        speed = self.approach * jnp.clip((length(dx, dy) - self.stop) / RAMP, -1.0, 1.0)
+        excess = length(dx, dy) - self.stop  # (N,) m
+        speed = self.approach * jnp.clip(excess / RAMP, -1.0, 1.0)
         approaches = reaction.kind == Kind.CURIOUS
         x = jnp.where(approaches, speed * ux, 0.0)
         y = jnp.where(approaches, speed * uy, 0.0)
@@ -147,8 +166,9 @@ class Reactions:
         x = jnp.where(blocks, bx * slower, x)
         y = jnp.where(blocks, by * slower, y)
 
-        share = _share(people, reaction, *ENGAGED)[:, None]
-        return people.desired_velocity + share * (jnp.stack([x, y], -1) - people.desired_velocity)
+        share = _share(people, reaction, *ENGAGED)  # (N,)
+        velocity = jnp.stack([x, y], -1)  # (N, 2)
+        return people.desired_velocity + share[:, None] * (velocity - people.desired_velocity)
 
     def gaze(self, people: Pedestrians, robot: Robot) -> Float[Array, "N 2"]:
         """What is added to the velocity [m/s] to which the body turns, so that people who attend face the robot."""
@@ -156,14 +176,17 @@ class Reactions:
         if reaction is None:
             return jnp.zeros_like(people.heading)
         ux, uy = unit(*_to_robot(people, robot))
-        return _share(people, reaction, *ENGAGED)[:, None] * jnp.stack([ux, uy], -1)
+        share = _share(people, reaction, *ENGAGED)  # (N,)
+        return share[:, None] * jnp.stack([ux, uy], -1)
 
     def person(self, crowd: Crowd) -> Force | None:
         """The push (N,) [m/s2] on cautious people, away from the robot; None without one."""
-        people, robot = crowd.people, crowd.robot
+        people = crowd.people
+        robot = crowd.robot
         reaction = people.reaction
         if robot is None or reaction is None:
             return None
+
         dx, dy = _to_robot(people, robot)
         ux, uy = unit(dx, dy)
         near = jnp.maximum(1.0 - length(dx, dy) / self.clearance, 0.0)
@@ -188,28 +211,34 @@ def heed(people: Pedestrians, robot: Robot | None) -> Float[Array, "N"] | None:
 
 def _share(people: Pedestrians, reaction: Reaction, *kinds: Kind) -> Float[Array, "N"]:
     """The attention (N,) of people of these kinds who do not stand in a group; zero of all others."""
-    of_kind = (reaction.kind[:, None] == jnp.asarray([kinds], jnp.int32)).any(1)
-    return jnp.where(of_kind & (people.group < 0), reaction.attention, 0.0)
+    is_kind = reaction.kind[:, None] == jnp.asarray([kinds], jnp.int32)  # (N, kinds)
+    reacts = is_kind.any(1) & (people.group < 0)
+    return jnp.where(reacts, reaction.attention, 0.0)
 
 
 def _to_robot(people: Pedestrians, robot: Robot) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
-    return robot.position[0] - people.position[:, 0], robot.position[1] - people.position[:, 1]
+    """From each person to the robot, dx and dy [m]."""
+    x, y = components(people.position)
+    return robot.position[0] - x, robot.position[1] - y
 
 
 def nearest_robot(people: Pedestrians, robot: Robot) -> Robot:
     """The robot; of several (M, ...) the nearest to each person, with people as the last axis (2, N)."""
     if robot.position.ndim == 1:
         return robot
-    dx, dy = (robot.position[:, axis, None] - people.position[None, :, axis] for axis in (0, 1))
-    index = jax.lax.stop_gradient(dx * dx + dy * dy).argmin(0)
+    dx = robot.position[:, 0, None] - people.position[None, :, 0]  # (M, N) m
+    dy = robot.position[:, 1, None] - people.position[None, :, 1]
+    square = jax.lax.stop_gradient(dx * dx + dy * dy)
+    index = square.argmin(0)  # (N,)
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf[index], 0, -1), robot)
 
 
 def _hidden(people: Pedestrians, robot: Robot, obstacles: Obstacles) -> Bool[Array, "N"]:
     """Whether an obstacle, other than an edge of the floor, is on the line from each person to the robot."""
-    x, y = people.position[:, 0], people.position[:, 1]
+    x, y = components(people.position)
     cross_boxes = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
     robot_axis = None if robot.position.ndim == 1 else 0
     lines_cross = jax.vmap(cross_boxes, in_axes=(0, 0, robot_axis, robot_axis, None, None))
     hits = lines_cross(x, y, robot.position[0], robot.position[1], obstacles, 0.0)  # (N, W)
-    return (hits & (obstacles.height > 0.0)[None]).any(1)
+    is_obstacle = obstacles.height > 0.0  # (W,)
+    return (hits & is_obstacle[None]).any(1)

@@ -25,6 +25,7 @@ from sean_jax.social_forces.forces import (
     Force,
     Pair,
     Walking,
+    components,
     gather,
     is_standing,
     sum_pair_terms,
@@ -79,8 +80,11 @@ class Repulsion:
         """
         if self.law not in (elliptical, circular, surface):
             return None
-        bodies = 2.0 * walking.radius if self.law is surface else 0.0
-        b = bodies + self.reach + self.range * jnp.log(jnp.maximum(2.0 * self.strength / NEGLIGIBLE, 1.0))
+        bodies = 0.0
+        if self.law is surface:
+            bodies = 2.0 * walking.radius
+        ratio = jnp.maximum(2.0 * self.strength / NEGLIGIBLE, 1.0)
+        b = bodies + self.reach + self.range * jnp.log(ratio)
         y = (1.0 + self.own_motion) * self.anticipation * walking.speed_ratio * walking.speed_max
         return jnp.sqrt(b * b + 0.25 * y * y) + 0.5 * y
 
@@ -94,23 +98,33 @@ def elliptical(parameters: Repulsion, pair: Pair) -> Force:
     Source: the negative gradient of the potential of [HM95], eq. (3)-(4); elliptical specification II of [J07].
     """
     # d from the other, and e = d - y from where the other will be.
-    dx, dy = pair.dx, pair.dy
+    dx = pair.dx
+    dy = pair.dy
     ex = dx - (pair.wx - parameters.own_motion * pair.vx) * parameters.anticipation
     ey = dy - (pair.wy - parameters.own_motion * pair.vy) * parameters.anticipation
-    dd, ee = dx * dx + dy * dy + TINY, ex * ex + ey * ey + TINY
-    inverse_d, inverse_e = jax.lax.rsqrt(dd), jax.lax.rsqrt(ee)
-    d, e = dd * inverse_d, ee * inverse_e
+
+    # Their lengths.
+    dd = dx * dx + dy * dy + TINY
+    ee = ex * ex + ey * ey + TINY
+    inverse_d = jax.lax.rsqrt(dd)
+    inverse_e = jax.lax.rsqrt(ee)
+    d = dd * inverse_d
+    e = ee * inverse_e
 
     # The square of the semi-minor axis b.
     dot = dx * ex + dy * ey
     cross = dx * ey - dy * ex
     would_cancel = dot < 0.0
-    bb = 0.5 * jnp.where(would_cancel, cross * cross / (d * e + jnp.abs(dot)), d * e + dot) + TINY
+    by_cross = cross * cross / (d * e + jnp.abs(dot))
+    bb = 0.5 * jnp.where(would_cancel, by_cross, d * e + dot) + TINY
     inverse_b = jax.lax.rsqrt(bb)
 
-    push = parameters.strength * jnp.exp((parameters.reach - bb * inverse_b) * (1.0 / parameters.range))
+    exponent = (parameters.reach - bb * inverse_b) * (1.0 / parameters.range)
+    push = parameters.strength * jnp.exp(exponent)
     push = push * (0.25 * (d + e) * inverse_b)
-    return push * (dx * inverse_d + ex * inverse_e), push * (dy * inverse_d + ey * inverse_e)
+    fx = push * (dx * inverse_d + ex * inverse_e)
+    fy = push * (dy * inverse_d + ey * inverse_e)
+    return fx, fy
 
 
 def circular(parameters: Repulsion, pair: Pair) -> Force:
@@ -118,10 +132,12 @@ def circular(parameters: Repulsion, pair: Pair) -> Force:
 
     Source: the circular specification of [J07], and SEAN 2.0's code.
     """
-    dx, dy = pair.dx, pair.dy
+    dx = pair.dx
+    dy = pair.dy
     dd = dx * dx + dy * dy + TINY
     inverse = jax.lax.rsqrt(dd)
-    push = parameters.strength * jnp.exp((parameters.reach - dd * inverse) * (1.0 / parameters.range)) * inverse
+    exponent = (parameters.reach - dd * inverse) * (1.0 / parameters.range)
+    push = parameters.strength * jnp.exp(exponent) * inverse
     return push * dx, push * dy
 
 
@@ -130,7 +146,8 @@ def surface(parameters: Repulsion, pair: Pair) -> Force:
 
     Source: [H00] in social_forces/presets.yaml.
     """
-    dx, dy = pair.dx, pair.dy
+    dx = pair.dx
+    dy = pair.dy
     dd = dx * dx + dy * dy + TINY
     inverse = jax.lax.rsqrt(dd)
     exponent = (parameters.reach + pair.radii - dd * inverse) * (1.0 / parameters.range)
@@ -145,7 +162,8 @@ def in_cone(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> Array:
     """
     along = -(fx * pair.look_x + fy * pair.look_y)
     limit = parameters.sight_cosine * jnp.abs(parameters.sight_cosine) * (fx * fx + fy * fy)
-    return jnp.where(along * jnp.abs(along) >= limit, 1.0, parameters.back_weight)
+    in_sight = along * jnp.abs(along) >= limit
+    return jnp.where(in_sight, 1.0, parameters.back_weight)
 
 
 def in_front(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> Array:
@@ -153,8 +171,11 @@ def in_front(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> Array:
 
     Source: [J07], eq. (7).
     """
-    dx, dy = pair.dx, pair.dy
-    cosine = -(dx * pair.look_x + dy * pair.look_y) * jax.lax.rsqrt(dx * dx + dy * dy + TINY)
+    dx = pair.dx
+    dy = pair.dy
+    ahead = -(dx * pair.look_x + dy * pair.look_y)
+    dd = dx * dx + dy * dy + TINY
+    cosine = ahead * jax.lax.rsqrt(dd)
     return parameters.back_weight + (1.0 - parameters.back_weight) * 0.5 * (1.0 + cosine)
 
 
@@ -192,16 +213,20 @@ class Headway:
 
     def gather(self, pair: Pair) -> tuple[Array]:
         """The part of one other in the sum of 1 / (gap - length)^4, times ``_scale`` [m], which ``act`` divides by."""
-        dx, dy = pair.dx, pair.dy
+        dx = pair.dx
+        dy = pair.dy
+        look_x = pair.look_x
+        look_y = pair.look_y
         dd = dx * dx + dy * dy + TINY
-        ahead = -(dx * pair.look_x + dy * pair.look_y)
-        aside = dx * pair.look_y - dy * pair.look_x
+        ahead = -(dx * look_x + dy * look_y)
+        aside = dx * look_y - dy * look_x
         in_way = jnp.maximum(self.width * self.width - aside * aside, 0.0)
-        following = jnp.clip(1.0 + (pair.wx * pair.look_x + pair.wy * pair.look_y), 0.0, 1.0)
+        following = jnp.clip(1.0 + (pair.wx * look_x + pair.wy * look_y), 0.0, 1.0)
 
         gap = jnp.maximum(dd * jax.lax.rsqrt(dd) - pair.radii - self.length, LEAST_GAP)
         close = in_way * jax.lax.rsqrt(gap * gap) ** 2  # cheaper than a division
-        return (jnp.clip(ahead, 0.0, self._ramp()) * following * close * close,)
+        in_front = jnp.clip(ahead, 0.0, self._ramp())
+        return (in_front * following * close * close,)
 
     def act(self, crowd: Crowd, total: Float[Array, "N"]) -> Force:
         """The braking (N,) [m/s2] that takes up the limits in the relaxation time."""
@@ -214,9 +239,11 @@ class Headway:
         if people.reaction is not None:
             time = time * people.reaction.alertness
 
-        desired_x, desired_y = people.desired_velocity[:, 0], people.desired_velocity[:, 1]
+        # The smooth minimum: (1 + sum (v / v_i)^4)^(-1/4) of the desired speed v.
+        desired_x, desired_y = components(people.desired_velocity)
         square = (desired_x * desired_x + desired_y * desired_y) * time * time
-        share = jax.lax.rsqrt(jnp.sqrt(1.0 + square * square * total * (1.0 / self._scale())))
+        power_sum = 1.0 + square * square * total * (1.0 / self._scale())
+        share = jax.lax.rsqrt(jnp.sqrt(power_sum))
         rate = (share - 1.0) / crowd.forces.walking.relaxation(people)
         return rate * desired_x, rate * desired_y
 
@@ -266,8 +293,12 @@ class Evasion:
 
     def gather(self, pair: Pair) -> tuple[Array]:
         """The share of the push to the right (negative: left) by one other, times ``_scale`` [m6 s2]."""
-        dx, dy, look_x, look_y = pair.dx, pair.dy, pair.look_x, pair.look_y
-        ux, uy = pair.vx - pair.wx, pair.vy - pair.wy
+        dx = pair.dx
+        dy = pair.dy
+        look_x = pair.look_x
+        look_y = pair.look_y
+        ux = pair.vx - pair.wx
+        uy = pair.vy - pair.wy
         width = self.width * pair.width
         uu = ux * ux + uy * uy
         inverse = jax.lax.rsqrt(uu + self.speed * self.speed) ** 2  # cheaper than a division
@@ -275,11 +306,13 @@ class Evasion:
         # The time t and the offset m of the closest approach.
         approach = -(dx * ux + dy * uy)
         time = jnp.maximum(approach, 0.0) * inverse
-        mx, my = dx + ux * time, dy + uy * time
+        mx = dx + ux * time
+        my = dy + uy * time
 
         soon = jnp.maximum(self.horizon * pair.alertness - time, 0.0)
         near = jnp.maximum(width * width - (mx * mx + my * my), 0.0)
-        in_sight = jnp.clip(-(dx * look_x + dy * look_y), 0.0, self._ramp())
+        ahead = -(dx * look_x + dy * look_y)
+        in_sight = jnp.clip(ahead, 0.0, self._ramp())
         right = mx * look_y - my * look_x + (self.side + pair.side)
         closing = jnp.where(approach > 0.0, uu * inverse, 0.0)
         return (in_sight * closing * (soon * near) ** 2 * right,)
@@ -288,9 +321,11 @@ class Evasion:
         """The push to the side (N,) [m/s2], ``strength`` at most, from the sum of ``gather``."""
         share = share * (self.gain / self._scale())
         factor, _, alertness = self.individual(crowd.people)
-        share = share / (factor * factor) ** 2 / factor / alertness**2
+        width_power = (factor * factor) ** 2
+        share = share / width_power / factor / alertness**2
         push = self.strength * share * jax.lax.rsqrt(1.0 + share * share)
-        push = jnp.where(is_standing(crowd.people), 0.0, push)
+        standing = is_standing(crowd.people)
+        push = jnp.where(standing, 0.0, push)
         return push * crowd.look_y, -push * crowd.look_x
 
     def _ramp(self) -> Array:
@@ -305,17 +340,28 @@ class Evasion:
 
         They are 1, 0 and 1 where people do not differ.
         """
-        factor, side = 1.0, 0.0
-        alertness = 1.0 if people.reaction is None else people.reaction.alertness
+        factor = 1.0
+        side = 0.0
+        alertness = 1.0
         if people.traits is not None and self.width_deviation is not None:
             factor = jnp.exp(self.width_deviation * people.traits.width)
         if people.traits is not None and self.side_deviation is not None:
             side = self.side_deviation * people.traits.side
+        if people.reaction is not None:
+            alertness = people.reaction.alertness
         return factor, side, alertness
 
     def cutoff(self, walking: Walking) -> Array:
         """The distance [m] beyond which nobody can come near within the horizon."""
         return self.width + 2.0 * walking.speed_ratio * walking.speed_max * self.horizon
+
+
+def evasion_factors(crowd: Crowd) -> tuple[Array | float, Array | float, Array | float]:
+    """The numbers of ``Evasion.individual``, which are 1, 0 and 1 without the term."""
+    evasion = crowd.forces.get(Evasion)
+    if evasion is None:
+        return 1.0, 0.0, 1.0
+    return evasion.individual(crowd.people)
 
 
 @struct.dataclass
@@ -342,9 +388,10 @@ class Noise:
         people = crowd.people
         if people.noise is None:
             return None
-        desired = length(people.desired_velocity[:, 0], people.desired_velocity[:, 1])
+        desired = length(*components(people.desired_velocity))
         preferred = jnp.maximum(people.preferred_speed, SLOW)
-        rate = jnp.minimum(desired / preferred, 1.0) / crowd.forces.walking.relaxation(people)
+        share = jnp.minimum(desired / preferred, 1.0)
+        rate = share / crowd.forces.walking.relaxation(people)
 
         forward = rate * self.speed * people.noise[:, 0]
         left = rate * self.side * people.noise[:, 1]
@@ -356,10 +403,14 @@ class Noise:
         The steps are uniform numbers of 16 bits. Their sum over the correlation time is normal.
         """
         bits = jax.random.bits(key, noise.shape[:1], jnp.uint32)
-        halves = jnp.stack([bits & 0xFFFF, bits >> 16], -1).astype(noise.dtype)
-        step = (halves * (1.0 / 0x8000) - (1.0 - 1.0 / 0x10000)) * 3.0**0.5
+        low = bits & 0xFFFF
+        high = bits >> 16
+        halves = jnp.stack([low, high], -1).astype(noise.dtype)  # (N, 2)
+        step = (halves * (1.0 / 0x8000) - (1.0 - 1.0 / 0x10000)) * 3.0**0.5  # of unit variance
         share = jnp.exp(-time_step / self.time)
-        return share * noise + jnp.sqrt(1.0 - share * share) * step
+        kept = share * noise
+        added = jnp.sqrt(1.0 - share * share) * step
+        return kept + added
 
 
 @struct.dataclass
@@ -377,12 +428,16 @@ class Sidestep:
 
     def pair(self, pair: Pair) -> Force:
         """The push to the side [m/s2], zero unless the other is oncoming."""
-        dx, dy = pair.dx, pair.dy
-        look_x, look_y = pair.look_x, pair.look_y
+        dx = pair.dx
+        dy = pair.dy
+        look_x = pair.look_x
+        look_y = pair.look_y
         dd = dx * dx + dy * dy + TINY
         bearing = -(dx * look_x + dy * look_y) * jax.lax.rsqrt(dd)  # its cosine
         closing = (pair.wx - pair.vx) * look_x + (pair.wy - pair.vy) * look_y < 0.0
-        oncoming = closing & (bearing >= self.cosine) & (dd < self.range * self.range)
+        ahead = bearing >= self.cosine
+        near = dd < self.range * self.range
+        oncoming = closing & ahead & near
         preference = jnp.where(pair.standing, 0.0, self.preference)
         push = jnp.where(oncoming, preference * bearing, 0.0)
         if self.scaled_by_robot and pair.repulsion_scale is not None:
@@ -417,19 +472,23 @@ class GroupSpace:
         index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
         by_groups = jax.vmap(self._push, in_axes=(None, None, None, 0, 0, 0, 0))
         on_people = jax.vmap(by_groups, in_axes=(0, 0, 0, None, None, None, None))
-        x, y = crowd.people.position[:, 0], crowd.people.position[:, 1]
-        pushes = on_people(x, y, crowd.people.group, index, groups.center, groups.radius, groups.present)  # (N, G)
-        return sum_vectors(*pushes, 1)
+        member_of = crowd.people.group
+        x, y = components(crowd.people.position)
+        fx, fy = on_people(x, y, member_of, index, groups.center, groups.radius, groups.present)  # (N, G)
+        return sum_vectors(fx, fy, 1)
 
     def _push(
         self, px: Array, py: Array, member_of: Array, group: Array, center: Array, radius: Array, present: Array
     ) -> Force:
         """The push [m/s2] of one group on one person."""
-        dx, dy = px - center[0], py - center[1]
+        dx = px - center[0]
+        dy = py - center[1]
         dd = dx * dx + dy * dy + TINY
         inverse = jax.lax.rsqrt(dd)
-        size = self.strength * jnp.exp((radius - dd * inverse) / self.range) * inverse
-        size = jnp.where(present & (member_of != group), size, 0.0)
+        exponent = (radius - dd * inverse) / self.range
+        size = self.strength * jnp.exp(exponent) * inverse
+        felt = present & (member_of != group)
+        size = jnp.where(felt, size, 0.0)
         return size * dx, size * dy
 
 
@@ -468,17 +527,20 @@ class Cohesion:
 
         # [M10] counts from each companion, and to the middle of all. Index -1 reads the last person: a mask hides it.
         exists = (companions >= 0) & people.present[companions]  # (N, 2)
-        x, y = people.position[:, 0], people.position[:, 1]
-        dx = jnp.where(exists, x[:, None] - people.position[companions, 0], 0.0)  # (N, 2) m
-        dy = jnp.where(exists, y[:, None] - people.position[companions, 1], 0.0)
+        x, y = components(people.position)
+        dx = x[:, None] - people.position[companions, 0]  # (N, 2) m
+        dx = jnp.where(exists, dx, 0.0)
+        dy = y[:, None] - people.position[companions, 1]
+        dy = jnp.where(exists, dy, 0.0)
 
         # A person without companions would divide by 0, and the middle is that of the others, without oneself.
         count = exists.sum(1, dtype=jnp.int32).astype(float)
         share = 1.0 / jnp.maximum(count, 1.0)
-        cx, cy = -dx.sum(1) * share, -dy.sum(1) * share
+        cx = -dx.sum(1) * share
+        cy = -dy.sum(1) * share
 
         # Gaze and attraction see the group as one, repulsion each companion; alignment may share the gaze's braking.
-        vx, vy = people.velocity[:, 0], people.velocity[:, 1]
+        vx, vy = components(people.velocity)
         fx, fy = gaze(self, cx, cy, vx, vy, crowd.look_x, crowd.look_y)
         ax, ay = attraction(self, cx, cy, count)
         if self.alignment is not None:
@@ -489,14 +551,16 @@ class Cohesion:
 
         # Walkers and singles are in one array, so the force of singles is computed, too, and left out here.
         in_group = count > 0.0
-        return jnp.where(in_group, fx + ax + px, 0.0), jnp.where(in_group, fy + ay + py, 0.0)
+        force_x = jnp.where(in_group, fx + ax + px, 0.0)
+        force_y = jnp.where(in_group, fy + ay + py, 0.0)
+        return force_x, force_y
 
     def _align(self, crowd: Crowd, fx: Array, fy: Array, ax: Array, ay: Array, exists: Bool[Array, "N 2"]) -> Force:
         """The attraction a with what takes people to the group's mean desired velocity, and gaze f off the group."""
         assert self.alignment is not None and crowd.companions is not None
-        desired = crowd.people.desired_velocity
+        desired_x, desired_y = components(crowd.people.desired_velocity)
         rate = self.alignment / crowd.forces.walking.relaxation(crowd.people)
-        mx, my = _to_mean(desired[:, 0], desired[:, 1], crowd.companions, exists)
+        mx, my = _to_mean(desired_x, desired_y, crowd.companions, exists)
         bx, by = _to_mean(fx, fy, crowd.companions, exists)
         ax = ax + rate * mx - self.alignment * (fx + bx)
         ay = ay + rate * my - self.alignment * (fy + by)
@@ -507,10 +571,11 @@ def _to_mean(
     x: Float[Array, "N"], y: Float[Array, "N"], companions: Int[Array, "N 2"], exists: Bool[Array, "N 2"]
 ) -> Force:
     """(N,) each: from one's own vector (x, y) to the mean of it and the companions'."""
-    share = 1.0 / (1.0 + exists.sum(1, dtype=jnp.int32).astype(float))
-    to_x = jnp.where(exists, x[companions] - x[:, None], 0.0).sum(1)
-    to_y = jnp.where(exists, y[companions] - y[:, None], 0.0).sum(1)
-    return share * to_x, share * to_y
+    count = exists.sum(1, dtype=jnp.int32).astype(float)
+    share = 1.0 / (1.0 + count)
+    to_x = jnp.where(exists, x[companions] - x[:, None], 0.0)  # (N, 2)
+    to_y = jnp.where(exists, y[companions] - y[:, None], 0.0)
+    return share * to_x.sum(1), share * to_y.sum(1)
 
 
 def gaze(
@@ -526,9 +591,12 @@ def gaze(
 
     alpha [rad] is the angle of that middle beyond ``view_angle`` off the look. Source: [M10], eq. (2).
     """
-    angle = jnp.abs(angle_between(jnp.stack([look_x, look_y], -1), jnp.stack([cx, cy], -1)))
+    look = jnp.stack([look_x, look_y], -1)  # (*N, 2)
+    to_middle = jnp.stack([cx, cy], -1)
+    angle = jnp.abs(angle_between(look, to_middle))
+    beyond = jnp.maximum(angle - parameters.view_angle, 0.0)
     square = cx * cx + cy * cy
-    size = parameters.gaze * jnp.maximum(angle - parameters.view_angle, 0.0) * square / (square + SOFTENING)
+    size = parameters.gaze * beyond * square / (square + SOFTENING)
     return -size * vx, -size * vy
 
 
@@ -540,9 +608,11 @@ def attraction(
     That middle lies at number / (1 + number) of the way c [m] to the middle of the others; far is number / 2 times
     ``attraction_distance``. Source: [M10], eq. (3).
     """
-    away = length(cx, cy) * number / (1.0 + number) - 0.5 * number * parameters.attraction_distance
+    distance = length(cx, cy) * number / (1.0 + number)
+    away = distance - 0.5 * number * parameters.attraction_distance
     ux, uy = unit(cx, cy)
-    pull = parameters.attraction * jnp.clip(away / parameters.ramp, 0.0, 1.0)
+    share = jnp.clip(away / parameters.ramp, 0.0, 1.0)
+    pull = parameters.attraction * share
     return pull * ux, pull * uy
 
 
@@ -552,8 +622,9 @@ def companion_repulsion(parameters: Cohesion, dx: Float[Array, "*N"], dy: Float[
     Source: [M10], eq. (4).
     """
     ux, uy = unit(dx, dy)
-    share = (parameters.repulsion_distance - length(dx, dy)) / parameters.ramp
-    push = parameters.repulsion * jnp.clip(share, 0.0, 1.0)
+    overlap = parameters.repulsion_distance - length(dx, dy)
+    share = jnp.clip(overlap / parameters.ramp, 0.0, 1.0)
+    push = parameters.repulsion * share
     return push * ux, push * uy
 
 
@@ -581,41 +652,55 @@ class RobotRepulsion:
         terms = crowd.forces.pair_terms
         contact = crowd.forces.get(Contact)
         factor = heed(crowd.people, crowd.robot)
-        force = self._over_people(crowd, partial(sum_pair_terms, terms)) if terms else None
+        if not terms:
+            return None
+        force = self._over_people(crowd, partial(sum_pair_terms, terms))
         if factor is None or force is None:
             return force
 
         # Whoever takes no notice of the robot still feels its body.
-        touch = (0.0, 0.0) if contact is None else self._over_people(crowd, contact.pair)
-        return tuple(factor * push + (1.0 - factor) * body for push, body in zip(force, touch, strict=True))
+        fx, fy = force
+        touch = 0.0, 0.0
+        if contact is not None:
+            touch = self._over_people(crowd, contact.pair)
+        touch_x, touch_y = touch
+        fx = factor * fx + (1.0 - factor) * touch_x
+        fy = factor * fy + (1.0 - factor) * touch_y
+        return fx, fy
 
     def gathered(self, crowd: Crowd) -> tuple[tuple[Array, ...], ...] | None:
         """The robot's contributions (N,) to the sums of each gather term; None without a robot."""
         sums = self._over_people(crowd, partial(gather, crowd.forces.gather_terms))
         factor = heed(crowd.people, crowd.robot)
-        return sums if factor is None else jax.tree.map(partial(jnp.multiply, factor), sums)
+        if factor is None:
+            return sums
+        return jax.tree.map(partial(jnp.multiply, factor), sums)
 
     def _over_people(self, crowd: Crowd, law: Callable) -> Any:
         """(N,) each: the law for the pairs of each person and the robot; None without a robot."""
-        robot, people = crowd.robot, crowd.people
+        robot = crowd.robot
+        people = crowd.people
         if robot is None:
             return None
 
         # People see the velocity over the ground, which the heading alone does not give if a robot moves sideways.
-        wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
+        wx = robot.speed * robot.heading[0]
+        wy = robot.speed * robot.heading[1]
+        speed = jnp.abs(robot.speed)
         if robot.sideways is not None:
             wx, wy = ground_velocity(robot)
-        speed = jnp.abs(robot.speed) if robot.sideways is None else length(wx, wy)
+            speed = length(wx, wy)
         moving = self._moving(speed)
 
         # How each person differs in ``Evasion``.
         evasion = crowd.forces.get(Evasion)
-        factors = (1.0, 0.0, 1.0) if evasion is None else evasion.individual(people)
-        factors = [jnp.broadcast_to(jnp.asarray(factor, float), people.present.shape) for factor in factors]
+        shape = people.present.shape
+        factors = [jnp.broadcast_to(jnp.asarray(factor, float), shape) for factor in evasion_factors(crowd)]
 
         # The robot's body is a disc, and its radius replaces half of the sum for two people.
         def with_robot(px, py, vx, vy, look_x, look_y, standing, distance, *factors):
-            dx, dy = px - robot.position[0], py - robot.position[1]
+            dx = px - robot.position[0]
+            dy = py - robot.position[1]
             scale = self._scale(crowd, moving, distance)
             radii = _robot_radii(crowd, dx, dy, look_x, look_y)
             pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing, True, scale, *factors)
@@ -625,27 +710,34 @@ class RobotRepulsion:
             return law(pair)
 
         # The law is that of one pair in scalars, as between people, so vmap goes over the people.
-        x, y = people.position[:, 0], people.position[:, 1]
-        vx, vy = people.velocity[:, 0], people.velocity[:, 1]
-        rows = x, y, vx, vy, crowd.look_x, crowd.look_y, is_standing(people), people.robot_distance
-        return jax.vmap(with_robot)(*rows, *factors)
+        x, y = components(people.position)
+        vx, vy = components(people.velocity)
+        standing = is_standing(people)
+        rows = x, y, vx, vy, crowd.look_x, crowd.look_y, standing, people.robot_distance
+        on_people = jax.vmap(with_robot)
+        return on_people(*rows, *factors)
 
     def _moving(self, speed: Array) -> Array:
         """How much () a robot of that speed [m/s] is a moving robot, from 0 to 1."""
         faster = speed - self.moving_speed
         smooth = self.ramp > 0.0
-        ramped = jnp.clip(0.5 + faster / jnp.where(smooth, self.ramp, 1.0), 0.0, 1.0)
-        return jnp.where(smooth, ramped, (faster > 0.0).astype(float))
+        ramp = jnp.where(smooth, self.ramp, 1.0)
+        ramped = jnp.clip(0.5 + faster / ramp, 0.0, 1.0)
+        step = (faster > 0.0).astype(float)
+        return jnp.where(smooth, ramped, step)
 
     def _scale(self, crowd: Crowd, moving: Array, distance: Array) -> Array | None:
         """The factor of the repulsion for a person with that extra distance [m]."""
         repulsion = crowd.forces.get(Repulsion)
-        return None if repulsion is None else jnp.exp(moving * distance / repulsion.range)
+        if repulsion is None:
+            return None
+        return jnp.exp(moving * distance / repulsion.range)
 
 
 def _robot_radii(crowd: Crowd, dx: Array, dy: Array, look_x: Array, look_y: Array) -> Array:
     """The sum of the radii [m] of a person with that look and of the robot."""
     walking = crowd.forces.walking
     shape = walking.shape(look_x, look_y)
-    twice = None if shape is None else (2.0 * shape[0], 2.0 * shape[1])
-    return 0.5 * walking.radii(dx, dy, twice) + crowd.robot_radius
+    if shape is not None:
+        shape = 2.0 * shape[0], 2.0 * shape[1]  # as of two people, of whom one is the robot
+    return 0.5 * walking.radii(dx, dy, shape) + crowd.robot_radius

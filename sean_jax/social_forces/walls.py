@@ -21,7 +21,7 @@ from sean_jax.core.data_types import Array, ObstacleGrid
 from sean_jax.core.devices import by_platform
 from sean_jax.core.geometry import from_rectangle, nearby_obstacles, sum_vectors
 from sean_jax.social_forces import kernel
-from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Forces, Pair, Walking
+from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Forces, Pair, Walking, components
 
 SUBSTEP = 0.05  # s, at most: a tenth of the relaxation time
 NEIGHBORS = 6  # bodies that touch a body in the densest packing; they make its stiffest mode
@@ -51,7 +51,7 @@ class Walls:
         """The push (N,) [m/s2] of all obstacles on each person; None if there are no obstacles."""
         if crowd.obstacle_grid is None:
             return None
-        px, py = crowd.people.position[:, 0], crowd.people.position[:, 1]
+        px, py = components(crowd.people.position)
         return wall_forces(self, px, py, crowd.obstacle_grid, crowd.forces.walking.perception)
 
 
@@ -59,8 +59,9 @@ def distances(
     px: Float[Array, "N"], py: Float[Array, "N"], grid: ObstacleGrid
 ) -> tuple[Float[Array, "N K"], Float[Array, "N K"], Float[Array, "N K"]]:
     """Signed distances [m] of people from the surfaces of the obstacles near them, and the unit normals there."""
-    rows = nearby_obstacles(grid, px, py)
-    return from_rectangle(px[:, None], py[:, None], *(rows[..., column] for column in range(6)))
+    rows = nearby_obstacles(grid, px, py)  # (N, K, 6)
+    columns = [rows[..., column] for column in range(6)]
+    return from_rectangle(px[:, None], py[:, None], *columns)
 
 
 def wall_forces(
@@ -125,19 +126,23 @@ def _project(
     friction: Array | float | None,
 ) -> tuple[Array, Array]:
     """``project_velocity`` of one person."""
+    free_x = vx
+    free_y = vy
     x, y = total(_correction, vx, vy, radius, time_step)
-    free_x, free_y = vx, vy
-    vx, vy = vx + x, vy + y
+    vx = vx + x
+    vy = vy + y
     if friction is not None:
         x, y = total(_rubbing, free_x, free_y, vx, vy, radius, time_step, friction)
-        vx, vy = vx + x, vy + y
+        vx = vx + x
+        vy = vy + y
     share = smallest(_allowed_share, vx, vy, radius, time_step)
     return vx * share, vy * share
 
 
 def _excess(distance, nx, ny, vx, vy, radius, time_step) -> Array:
     """The speed [m/s] by which a velocity approaches one obstacle too fast."""
-    return jnp.maximum((radius - distance) / time_step - (nx * vx + ny * vy), 0.0)
+    least = (radius - distance) / time_step  # m/s, of the velocity along the normal
+    return jnp.maximum(least - (nx * vx + ny * vy), 0.0)
 
 
 def _correction(distance, nx, ny, vx, vy, radius, time_step) -> tuple[Array, Array]:
@@ -156,9 +161,11 @@ def _rubbing(distance, nx, ny, free_x, free_y, vx, vy, radius, time_step, fricti
 def _allowed_share(distance, nx, ny, vx, vy, radius, time_step) -> Array:
     """The share of a velocity, at most 1, with which no body reaches one obstacle."""
     approach = -(nx * vx + ny * vy)
-    allowed = jnp.maximum((distance - radius) / time_step + SLACK, MIN_APPROACH)
+    gap = distance - radius
+    allowed = jnp.maximum(gap / time_step + SLACK, MIN_APPROACH)
     too_fast = approach > allowed
-    return jnp.where(too_fast, allowed / jnp.where(too_fast, approach, 1.0), 1.0)
+    divisor = jnp.where(too_fast, approach, 1.0)
+    return jnp.where(too_fast, allowed / divisor, 1.0)
 
 
 def _at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, *arguments: Any) -> tuple[Array, Array]:
@@ -213,7 +220,8 @@ def _one_by_one(px: Array, py: Array, rows: Array, join: Callable, start: Any, l
     """
 
     def join_next(total: Any, row: tuple) -> tuple:
-        return join(total, _value(law, px, py, row, arguments)), None
+        value = _value(law, px, py, row, arguments)
+        return join(total, value), None
 
     columns = tuple(rows[..., column].T for column in range(rows.shape[2]))
     total, _ = jax.lax.scan(join_next, start, columns, unroll=rows.shape[1])
@@ -225,10 +233,17 @@ def _in_kernel(function: Callable, over: Callable, px: Any, py: Any, *arguments:
 
     def join(add: Callable, start: Any, law: Callable, *arguments: Any) -> Any:
         value = gpu_kernels.scalars(partial(_value, law))
-        return over(lambda total, row: add(total, value(px, py, row, arguments)), start)
 
-    zero, one = px.dtype.type(0.0), px.dtype.type(1.0)
-    return function(partial(join, _add, (zero, zero)), partial(join, jnp.minimum, one), *arguments)
+        def step(total: Any, row: Any) -> Any:
+            return add(total, value(px, py, row, arguments))
+
+        return over(step, start)
+
+    zero = px.dtype.type(0.0)
+    one = px.dtype.type(1.0)
+    total = partial(join, _add, (zero, zero))
+    smallest = partial(join, jnp.minimum, one)
+    return function(total, smallest, *arguments)
 
 
 @struct.dataclass
@@ -255,10 +270,13 @@ class Contact:
 
     def pair(self, pair: Pair) -> Force:
         """The push and the friction [m/s2], zero unless the two touch or are within ``margin``."""
-        dx, dy = pair.dx, pair.dy
+        dx = pair.dx
+        dy = pair.dy
         dd = dx * dx + dy * dy + TINY
         inverse = jax.lax.rsqrt(dd)
-        reach = pair.radii if self.margin is None else pair.radii + self.margin
+        reach = pair.radii
+        if self.margin is not None:
+            reach = reach + self.margin
         overlap = jnp.maximum(reach - dd * inverse, 0.0)
         push = self.stiffness * overlap * inverse
         if self.friction is None:
@@ -269,7 +287,10 @@ class Contact:
 
     def cutoff(self, walking: Walking) -> Array:
         """The distance [m] at which bodies begin to push."""
-        return 2.0 * walking.radius + (0.0 if self.margin is None else self.margin)
+        margin = 0.0
+        if self.margin is not None:
+            margin = self.margin
+        return 2.0 * walking.radius + margin
 
 
 def longest_step(forces: Forces) -> float:
@@ -282,10 +303,14 @@ def longest_step(forces: Forces) -> float:
     contact = forces.get(Contact)
     if contact is None:
         return SUBSTEP
-    stiffness = NEIGHBORS * max(float(np.max(np.asarray(contact.stiffness))), 1e-9)
-    friction = 0.0 if contact.friction is None else float(np.max(np.asarray(contact.friction)))
+    largest = float(np.max(np.asarray(contact.stiffness)))
+    stiffness = NEIGHBORS * max(largest, 1e-9)
+    friction = 0.0
+    if contact.friction is not None:
+        friction = float(np.max(np.asarray(contact.friction)))
     rate = NEIGHBORS * OVERLAP * friction
-    return min(SUBSTEP, (math.sqrt(rate**2 + 4.0 * stiffness) - rate) / stiffness)
+    stable = (math.sqrt(rate**2 + 4.0 * stiffness) - rate) / stiffness
+    return min(SUBSTEP, stable)
 
 
 def substeps(forces: Forces, time_step: float) -> int:

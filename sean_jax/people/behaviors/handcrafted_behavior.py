@@ -19,6 +19,7 @@ from sean_jax.people.behaviors.starts import Place
 from sean_jax.people.handcrafted import ALL, ARRIVED, Sets, Ways, annotation
 from sean_jax.people.handcrafted import build as build_sets
 from sean_jax.social_forces import draw_traits
+from sean_jax.social_forces.forces import components
 from sean_jax.world import navigation as paths
 
 SETTLING = 0.5  # s, in which people return to a seat after a push
@@ -67,7 +68,8 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Handcraf
     set_key, form_key, phase_key, trait_key = jax.random.split(key, 4)
 
     # A set is as likely as all its pairs of start and goal together; the task draws the pair afterwards.
-    index = jax.random.categorical(set_key, jnp.log(tables.odds.sum((1, 2)))).astype(jnp.int32)
+    odds = tables.odds.sum((1, 2))  # (S,)
+    index = jax.random.categorical(set_key, jnp.log(odds)).astype(jnp.int32)
     layout = tables.one(index)
     n_groups = layout.capacity.shape[0]
     n_people = layout.group.shape[0]
@@ -75,20 +77,24 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Handcraf
     # Walkers and absent people take seats of an extra group, which is dropped below.
     center = jnp.concatenate([layout.center, jnp.zeros((1, 2), float)])
     capacity = jnp.concatenate([layout.capacity, jnp.ones(1, jnp.int32)])
-    seat_group = jnp.where(layout.group >= 0, layout.group, n_groups)  # (N,)
+    in_group = layout.group >= 0  # (N,)
+    seat_group = jnp.where(in_group, layout.group, n_groups)
     seat_position, seat_heading, radius, opening = formation(form_key, capacity, center, seat_group)
-    has_group = layout.capacity > 0
+    has_group = layout.capacity > 0  # (G,)
     groups = Groups(center=layout.center, radius=radius[:n_groups], opening=opening[:n_groups], present=has_group)
 
     # One phase for a loop keeps its walkers evenly apart, wherever the first of them is.
     phase = jax.random.uniform(phase_key, layout.waypoints.shape, float)  # (L,)
     on_loops = jax.vmap(_on_loop, in_axes=(None, 0, 0, 0, 0, None))
     place, ahead, target = on_loops(layout, layout.loop, layout.share, layout.way, layout.first, phase)
+
     # Around obstacles the way ahead is not the straight leg; at a corner itself it has no direction.
     if tables.ways is not None:
-        gap = _ahead(tables.ways, index, layout.loop, target, place) - place
-        distance = length(gap[:, 0], gap[:, 1])[:, None]
-        ahead = jnp.where(distance > 1e-3, gap / jnp.maximum(distance, 1e-3), ahead)
+        aim = _ahead(tables.ways, index, layout.loop, target, place)  # (N, 2) m
+        gap = aim - place
+        distance = length(*components(gap))[:, None]  # (N, 1) m
+        direction = gap / jnp.maximum(distance, 1e-3)
+        ahead = jnp.where(distance > 1e-3, direction, ahead)
 
     # Walkers begin at full speed, as if the episode had begun long before.
     walks = (layout.loop >= 0)[:, None]  # (N, 1)
@@ -100,13 +106,14 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Handcraf
         velocity=velocity,
         heading=heading,
         desired_velocity=velocity,
-        group=jnp.where(layout.group >= 0, layout.group, -1),
+        group=jnp.where(in_group, layout.group, -1),
         walking_group=jnp.full(n_people, -1, jnp.int32),
         present=layout.present,
         preferred_speed=preferred_speed,
         robot_distance=robot_distance,
     )
-    return pedestrians, groups, HandcraftedMemory(index, target, seat_position, seat_heading)
+    memory = HandcraftedMemory(index, target, seat_position, seat_heading)
+    return pedestrians, groups, memory
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
@@ -115,37 +122,45 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     The way to a waypoint is straight, or the shortest one around obstacles in sets where people start at waypoints.
     """
     tables: Sets = scenario.behavior.data
-    people, memory = state.pedestrians, state.memory
+    people = state.pedestrians
+    memory = state.memory
 
     # People without a loop have index -1: row 0 stands in for it, and ``walks`` masks the result.
     row = memory.set
-    loop = jnp.maximum(tables.loop[row], 0)  # (N,)
-    walks = tables.loop[row] >= 0
+    loop_index = tables.loop[row]  # (N,)
+    loop = jnp.maximum(loop_index, 0)
+    walks = loop_index >= 0
     waypoint = tables.waypoint[row][loop]  # (N, K, 2)
+    count = tables.waypoints[row][loop]
 
     def gap_to(target: Array) -> Array:
-        goal = jnp.take_along_axis(waypoint, target[:, None, None], axis=1)[:, 0]
-        return jnp.where(walks[:, None], goal, memory.seat_position) - people.position
+        goal = jnp.take_along_axis(waypoint, target[:, None, None], axis=1)  # (N, 1, 2)
+        goal = jnp.where(walks[:, None], goal[:, 0], memory.seat_position)
+        return goal - people.position
 
     # Loops have no end: indices wrap around, backwards for people whose ``way`` is -1.
     gap = gap_to(memory.target)
-    arrived = length(gap[:, 0], gap[:, 1]) < ARRIVED
-    next_target = (memory.target + tables.way[row]) % tables.waypoints[row][loop]
+    arrived = length(*components(gap)) < ARRIVED
+    next_target = (memory.target + tables.way[row]) % count
     target = jnp.where(arrived & walks, next_target, memory.target)
     gap = gap_to(target)
 
     # Between waypoints chosen as starts there may be obstacles, which a straight line would run into.
     if tables.ways is not None:
-        aim = _ahead(tables.ways, row, tables.loop[row], target, people.position)  # (N, 2) m
-        gap = jnp.where(walks[:, None], aim - people.position, gap)
+        aim = _ahead(tables.ways, row, loop_index, target, people.position)  # (N, 2) m
+        to_aim = aim - people.position
+        gap = jnp.where(walks[:, None], to_aim, gap)
 
     # Near a seat the speed falls with the distance: at full speed people would oscillate about it.
-    distance = length(gap[:, 0], gap[:, 1])
-    speed = jnp.where(walks, people.preferred_speed, jnp.minimum(people.preferred_speed, distance / SETTLING))
+    distance = length(*components(gap))
+    settling_speed = jnp.minimum(people.preferred_speed, distance / SETTLING)
+    speed = jnp.where(walks, people.preferred_speed, settling_speed)
     speed = jnp.where(people.present, speed, 0.0)
-    velocity = gap * (speed / jnp.maximum(distance, 1e-6))[:, None]
+    rate = speed / jnp.maximum(distance, 1e-6)  # (N,) 1/s
+    velocity = gap * rate[:, None]
     people = replace(people, desired_velocity=velocity)
-    return replace(state, pedestrians=people, memory=memory._replace(target=target))
+    memory = memory._replace(target=target)
+    return replace(state, pedestrians=people, memory=memory)
 
 
 def _ahead(
@@ -175,14 +190,20 @@ def _on_loop(
     # The leg on which the share of the length lies.
     ends = jnp.where(jnp.isfinite(walked), walked, 0.0)
     along = ((share + phase[loop]) % 1.0) * ends.max()
-    leg = jnp.minimum((walked <= along).sum(dtype=jnp.int32), count - 1)
-    start, end = waypoint[leg], waypoint[(leg + 1) % count]
+    leg = (walked <= along).sum(dtype=jnp.int32)
+    leg = jnp.minimum(leg, count - 1)
+    next_leg = (leg + 1) % count
+    start = waypoint[leg]
+    end = waypoint[next_leg]
     gap = end - start
     ahead = gap / jnp.maximum(length(gap[0], gap[1]), 1e-6)
     place = end - (ends[leg] - along) * ahead
-    target = jnp.where(way > 0, (leg + 1) % count, leg)
+    target = jnp.where(way > 0, next_leg, leg)
 
+    # People who start at a waypoint head for the one after it.
     at_waypoint = first >= 0
+    first_place = waypoint[jnp.maximum(first, 0)]
+    place = jnp.where(at_waypoint, first_place, place)
     target = jnp.where(at_waypoint, (first + way) % count, target)
-    place = jnp.where(at_waypoint, waypoint[jnp.maximum(first, 0)], place)
-    return place, way.astype(float) * ahead, target
+    heading = way.astype(float) * ahead
+    return place, heading, target

@@ -22,6 +22,7 @@ from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import length, signed_distances_on_host, unit
 from sean_jax.core.messages import shorten
 from sean_jax.io import cache
+from sean_jax.social_forces.forces import components
 from sean_jax.world import environment as environments
 from sean_jax.world.navigation import CODE, Navigation, build_paths_to_goal, geodesic, inputs, segment_is_free
 
@@ -86,8 +87,13 @@ def in_discs(
     shape = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, navigation.radius
     avoided = np.reshape([np.append(middle, size) for middle, size in avoid], (-1, 3))
     key = *shape, center, radius, chance, avoided
-    draw = lambda: _in_discs(environment, float(navigation.radius), center, radius, chance, avoid)  # noqa: E731
-    table = cache.load_or_build("starts", ("people/behaviors/starts", "core/geometry"), key, draw)
+    clearance = float(navigation.radius)
+
+    def draw() -> dict[str, np.ndarray]:
+        return _in_discs(environment, clearance, center, radius, chance, avoid)
+
+    code = "people/behaviors/starts", "core/geometry"
+    table = cache.load_or_build("starts", code, key, draw)
     return table["start"], table["disc"]
 
 
@@ -99,28 +105,39 @@ def _in_discs(
     chance: Array,
     avoid: list[tuple[np.ndarray, float]],
 ) -> dict[str, np.ndarray]:
+    """The table of ``in_discs``: starts (P, 2) [m] and discs (P,)."""
     generator = np.random.default_rng(0)
-    middle, size, odds = (np.asarray(values, float) for values in (center, radius, chance))
+    centers = np.asarray(center, float)
+    radii = np.asarray(radius, float)
+    chances = np.asarray(chance, float)
 
     # Candidates by the areas of the discs.
-    tries = np.ceil(TRIES * size**2 / MIN_DISTANCE**2).astype(int) * (odds > 0)
+    tries = np.ceil(TRIES * radii**2 / MIN_DISTANCE**2).astype(int)  # (M,)
+    tries = tries * (chances > 0)
     if tries.sum() > MAX_TRIES:
-        tries = np.ceil(tries * (MAX_TRIES / tries.sum())).astype(int)
-    disc = np.repeat(np.arange(len(size)), tries)
+        share = MAX_TRIES / tries.sum()
+        tries = np.ceil(tries * share).astype(int)
+    disc = np.repeat(np.arange(len(radii)), tries)  # (C,) of each candidate
 
     # Uniform over a disc: the square of the distance is.
-    distance = size[disc] * np.sqrt(generator.uniform(size=len(disc)))
+    distance = radii[disc] * np.sqrt(generator.uniform(size=len(disc)))
     angle = generator.uniform(0, 2 * np.pi, len(disc))
     direction = np.stack([np.cos(angle), np.sin(angle)], -1)
-    spots = middle[disc] + distance[:, None] * direction
+    spots = centers[disc] + distance[:, None] * direction  # (C, 2) m
 
-    free = np.minimum(*signed_distances_on_host(environment, spots)) > clearance
-    for avoided, reach in avoid:
-        free &= np.linalg.norm(spots - np.asarray(avoided, float), axis=-1) > reach
+    free = _is_free(environment, spots, clearance)
+    for middle, size in avoid:
+        free &= np.linalg.norm(spots - np.asarray(middle, float), axis=-1) > size
     spots = spots[free]
     disc = disc[free]
     chosen = choose_apart(spots, generator)
     return {"start": spots[chosen], "disc": disc[chosen]}
+
+
+def _is_free(environment: Environment, spots: np.ndarray, clearance: float) -> np.ndarray:
+    """(P,) bool: whether each spot (P, 2) [m] is farther than the clearance [m] from obstacles and the floor's edge."""
+    to_box, to_edge = signed_distances_on_host(environment, spots)
+    return np.minimum(to_box, to_edge) > clearance
 
 
 def anywhere(environment: Environment, navigation: Navigation, people: int, dense: bool = False) -> np.ndarray:
@@ -135,16 +152,21 @@ def anywhere(environment: Environment, navigation: Navigation, people: int, dens
         return spots[chosen]
 
     floor = np.asarray(environment.floor, float)
-    area = np.prod(floor[2:] - floor[:2])
-    tries = min(int(FLOOR_TRIES * area / MIN_DISTANCE**2), MAX_TRIES)
-    spots = generator.uniform(floor[:2], floor[2:], (tries, 2)).astype(np.float32)
-    spots = spots[np.minimum(*signed_distances_on_host(environment, spots)) > float(navigation.radius)]
+    lower = floor[:2]
+    upper = floor[2:]
+    area = np.prod(upper - lower)
+    tries = int(FLOOR_TRIES * area / MIN_DISTANCE**2)
+    tries = min(tries, MAX_TRIES)
+    spots = generator.uniform(lower, upper, (tries, 2)).astype(np.float32)
+    free = _is_free(environment, spots, float(navigation.radius))
+    spots = spots[free]
 
     code = *CODE, "people/behaviors/starts"
     key = [*inputs(navigation), spots]
     table = cache.load_or_build("reached", code, key, lambda: {"reachable": _reachable(navigation, spots)})
     spots = spots[table["reachable"]]
-    return spots[choose_apart(spots, generator)]
+    chosen = choose_apart(spots, generator)
+    return spots[chosen]
 
 
 def _reachable(navigation: Navigation, spots: np.ndarray) -> np.ndarray:
@@ -156,7 +178,8 @@ def _reachable(navigation: Navigation, spots: np.ndarray) -> np.ndarray:
     def walk(spots: Array, paths_to_goal: PathsToGoal) -> Array:
         return jax.lax.map(lambda spot: geodesic(navigation, spot, goal, paths_to_goal), spots, batch_size=1024)
 
-    return np.isfinite(np.asarray(walk(jnp.asarray(spots, float), paths_to_goal)))
+    lengths = walk(jnp.asarray(spots, float), paths_to_goal)  # (P,) m
+    return np.isfinite(np.asarray(lengths))
 
 
 def choose_apart(spots: np.ndarray, generator: np.random.Generator) -> list[int]:
@@ -165,10 +188,13 @@ def choose_apart(spots: np.ndarray, generator: np.random.Generator) -> list[int]
     by_cell: dict[tuple[int, int], list[int]] = {}  # by cell of that size, so that only neighbours are compared
     for index in generator.permutation(len(spots)):
         i, j = np.floor(spots[index] / MIN_DISTANCE).astype(int).tolist()
-        around = itertools.product((i - 1, i, i + 1), (j - 1, j, j + 1))
-        near = [neighbor for cell in around for neighbor in by_cell.get(cell, [])]
-        if near and np.linalg.norm(spots[near] - spots[index], axis=-1).min() < MIN_DISTANCE:
-            continue
+        neighbors = []
+        for cell in itertools.product((i - 1, i, i + 1), (j - 1, j, j + 1)):
+            neighbors += by_cell.get(cell, [])
+        if neighbors:
+            distance = np.linalg.norm(spots[neighbors] - spots[index], axis=-1)
+            if distance.min() < MIN_DISTANCE:
+                continue
         by_cell.setdefault((i, j), []).append(index)
         chosen.append(index)
     return chosen
@@ -194,9 +220,11 @@ class WalkingGroups(NamedTuple):
         """Indices of each person's companions, -1 none; None if everybody walks alone."""
         if not self.number:
             return None
-        first = people - self.members
-        pairs = first + np.arange(2 * self.pairs).reshape(-1, 2)
-        triples = first + 2 * self.pairs + np.arange(3 * self.triples).reshape(-1, 3)
+
+        # The last people: pairs, then triples.
+        person = np.arange(people - self.members, people)
+        pairs = person[: 2 * self.pairs].reshape(-1, 2)
+        triples = person[2 * self.pairs :].reshape(-1, 3)
         table = np.full((people, 2), -1, np.int32)
         for k in range(2):
             table[pairs[:, k], 0] = pairs[:, 1 - k]
@@ -217,7 +245,9 @@ def count_walking_groups(people: int, shares: tuple[float, float]) -> WalkingGro
             f"walking_groups: {shorten(repr(shares))} must be two shares, each 0 or more, together 1 at most."
         )
     in_pairs, in_triples = shares
-    return WalkingGroups(int(people * in_pairs / 2 + 1e-6), int(people * in_triples / 3 + 1e-6))
+    pairs = int(people * in_pairs / 2 + 1e-6)
+    triples = int(people * in_triples / 3 + 1e-6)
+    return WalkingGroups(pairs, triples)
 
 
 def find_spawn_clusters(navigation: Navigation, start: np.ndarray, groups: WalkingGroups) -> np.ndarray:
@@ -228,7 +258,9 @@ def find_spawn_clusters(navigation: Navigation, start: np.ndarray, groups: Walki
     Raises:
         InputError: there are fewer clusters than groups.
     """
-    clusters = _clusters_of_three(navigation, start) if groups.number else []
+    clusters = []
+    if groups.number:
+        clusters = _clusters_of_three(navigation, start)
     if groups.number > len(clusters):
         raise InputError(
             f"walking_groups: {groups.number} do not fit here, {len(clusters)} at most; give smaller shares."
@@ -239,11 +271,15 @@ def find_spawn_clusters(navigation: Navigation, start: np.ndarray, groups: Walki
 def _clusters_of_three(navigation: Navigation, start: np.ndarray) -> list[tuple[int, int, int]]:
     """Disjoint clusters of starts (P, 2) [m] of ``find_spawn_clusters``."""
     neighbors = _neighbors_in_sight(navigation, start)
-    n_neighbors = lambda index: len(neighbors[index])  # noqa: E731
+
+    def n_neighbors(index: int) -> int:
+        return len(neighbors[index])
+
     clusters = []
     free = np.ones(len(start), bool)
     for first in sorted(range(len(start)), key=n_neighbors):  # few neighbours first, or they would find none free
-        companions = sorted((index for index in neighbors[first] if free[index]), key=n_neighbors)[:2]
+        free_neighbors = [index for index in neighbors[first] if free[index]]
+        companions = sorted(free_neighbors, key=n_neighbors)[:2]
         if free[first] and len(companions) == 2:
             cluster = first, *companions
             free[list(cluster)] = False
@@ -254,11 +290,13 @@ def _clusters_of_three(navigation: Navigation, start: np.ndarray) -> list[tuple[
 def _neighbors_in_sight(navigation: Navigation, start: np.ndarray) -> list[list[int]]:
     """Indices of the starts (P, 2) [m] near and in sight of each start."""
     pairs = KDTree(start).query_pairs(MAX_SPAWN_DISTANCE, output_type="ndarray")  # (K, 2)
-    in_sight = jax.jit(jax.vmap(lambda p, q: segment_is_free(navigation.obstacles, p, q, 0.0)))
+    see_each_other = jax.jit(jax.vmap(lambda p, q: segment_is_free(navigation.obstacles, p, q, 0.0)))
     spots = jnp.asarray(start, float)
-    clear = np.asarray(in_sight(spots[pairs[:, 0]], spots[pairs[:, 1]]))
+    first = spots[pairs[:, 0]]
+    second = spots[pairs[:, 1]]
+    in_sight = np.asarray(see_each_other(first, second))
     neighbors: list[list[int]] = [[] for _ in start]
-    for i, j in pairs[clear].tolist():
+    for i, j in pairs[in_sight].tolist():
         neighbors[i].append(j)
         neighbors[j].append(i)
     return neighbors
@@ -270,13 +308,19 @@ def choose_starts(
     """The starts of N = ``walkers`` people with the highest scores; walking groups start at spawn clusters."""
     alone = walkers - groups.members
     if not groups.number:
-        return jax.lax.top_k(score, alone)[1]
+        _, single = jax.lax.top_k(score, alone)
+        return single
+
+    # A cluster has the score of its first start; a pair leaves the third start to others.
     first = spawn_clusters[:, 0]
     first_score = jnp.where(first >= 0, score[first], -jnp.inf)
     _, index = jax.lax.top_k(first_score, groups.number)
-    clusters = spawn_clusters[index]
-    grouped = jnp.concatenate([clusters[: groups.pairs, :2].ravel(), clusters[groups.pairs :].ravel()])
-    _, single = jax.lax.top_k(score.at[grouped].set(-jnp.inf), alone)
+    clusters = spawn_clusters[index]  # (groups, 3)
+    pairs = clusters[: groups.pairs, :2].ravel()
+    triples = clusters[groups.pairs :].ravel()
+    grouped = jnp.concatenate([pairs, triples])
+    score = score.at[grouped].set(-jnp.inf)
+    _, single = jax.lax.top_k(score, alone)
     return jnp.concatenate([single, grouped])
 
 
@@ -285,8 +329,10 @@ def leaders(companions: Int[Array, "N 2"] | None, people: int) -> Int[Array, "N"
     if companions is None:
         return jnp.full(people, -1, jnp.int32)
     person = jnp.arange(people, dtype=jnp.int32)
-    lowest = jnp.minimum(person, jnp.where(companions >= 0, companions, people).min(1))
-    return jnp.where((companions >= 0).any(1), lowest, -1)
+    exists = companions >= 0  # (N, 2)
+    lowest = jnp.where(exists, companions, people).min(1)
+    lowest = jnp.minimum(person, lowest)
+    return jnp.where(exists.any(1), lowest, -1)
 
 
 def follow_leaders(walking_group: Int[Array, "N"], *values: Shaped[Array, "N ..."]) -> tuple[Array, ...]:
@@ -309,9 +355,11 @@ def group_speeds(scenario: Scenario, walking_group: Int[Array, "N"], preferred: 
     companions = scenario.behavior.companions
     if companions is None:
         return preferred
-    slower = scenario.forces.walking.companion_slowdown * (companions >= 0).sum(1, dtype=jnp.int32).astype(float)
-    (shared,) = follow_leaders(walking_group, preferred)
-    return jnp.where(walking_group >= 0, jnp.maximum(shared - slower, MIN_SPEED), preferred)
+    n_companions = (companions >= 0).sum(1, dtype=jnp.int32).astype(float)  # (N,)
+    slower = scenario.forces.walking.companion_slowdown * n_companions
+    (leader_speed,) = follow_leaders(walking_group, preferred)
+    group_speed = jnp.maximum(leader_speed - slower, MIN_SPEED)
+    return jnp.where(walking_group >= 0, group_speed, preferred)
 
 
 def walk_abreast(people: Pedestrians, velocity: Float[Array, "N 2"]) -> Float[Array, "N 2"]:
@@ -321,10 +369,12 @@ def walk_abreast(people: Pedestrians, velocity: Float[Array, "N 2"]) -> Float[Ar
     """
     leader_position, leader_velocity = follow_leaders(people.walking_group, people.position, velocity)
     gap = leader_position - people.position
-    x, y = unit(velocity[:, 0], velocity[:, 1])
-    leader_x, leader_y = unit(leader_velocity[:, 0], leader_velocity[:, 1])
-    near = length(gap[:, 0], gap[:, 1]) < NEAR_LEADER
-    turns = (people.walking_group >= 0) & near & (x * leader_x + y * leader_y > MIN_COSINE)
+    x, y = unit(*components(velocity))
+    leader_x, leader_y = unit(*components(leader_velocity))
+    near = length(*components(gap)) < NEAR_LEADER
+    similar = x * leader_x + y * leader_y > MIN_COSINE
+    turns = (people.walking_group >= 0) & near & similar
 
-    speed = length(velocity[:, 0], velocity[:, 1])
-    return jnp.where(turns[:, None], jnp.stack([speed * leader_x, speed * leader_y], -1), velocity)
+    speed = length(*components(velocity))
+    abreast = jnp.stack([speed * leader_x, speed * leader_y], -1)  # (N, 2)
+    return jnp.where(turns[:, None], abreast, velocity)

@@ -72,20 +72,25 @@ def build(sets: dict[str, Set], navigation: paths.Navigation | None = None) -> S
     Raises:
         InputError: there is no way from a waypoint to the next one.
     """
-    walkers = [walkers for layout in sets.values() for walkers in layout.walkers]
+    layouts = sets.values()
+    walkers = [walkers for layout in layouts for walkers in layout.walkers]
     size = PaddedSize(
-        people=max(layout.people for layout in sets.values()),
-        groups=max(1, *(len(layout.groups) for layout in sets.values())),  # at least one, for indexing
-        loops=max(1, *(len(layout.walkers) for layout in sets.values())),
-        corners=max((len(each.loop) for each in walkers), default=1),
+        people=max(layout.people for layout in layouts),
+        groups=max(1, *(len(layout.groups) for layout in layouts)),  # at least one, for indexing
+        loops=max(1, *(len(layout.walkers) for layout in layouts)),
+        corners=max((len(party.loop) for party in walkers), default=1),
     )
-    rows = [_row(layout, size) for layout in sets.values()]
+    rows = [_row(layout, size) for layout in layouts]
     stacked = {name: np.stack([row[name] for row in rows]) for name in sorted(rows[0])}
-    at_waypoints = any(each.start == "waypoints" for each in walkers)
-    ways = None if navigation is None or not at_waypoints else _find_ways(sets, navigation, stacked["waypoint"])
+
+    # Only people who start at waypoints walk around obstacles.
+    ways = None
+    at_waypoints = any(party.start == "waypoints" for party in walkers)
+    if navigation is not None and at_waypoints:
+        ways = _find_ways(sets, navigation, stacked["waypoint"])
 
     arrays = {name: jnp.asarray(value) for name, value in stacked.items()}
-    situations = tuple(layout.situation for layout in sets.values())
+    situations = tuple(layout.situation for layout in layouts)
     return Sets(**arrays, ways=ways, names=tuple(sets), situations=situations)
 
 
@@ -110,12 +115,12 @@ class LoopLeg(NamedTuple):
 
 def _find_ways(sets: dict[str, Set], navigation: paths.Navigation, waypoint: np.ndarray) -> Ways:
     """Ways to the waypoints (S, L, K, 2) [m]; padding has the first waypoint's."""
-    legs = [
-        LoopLeg(name, index, corner, start, end)
-        for name, layout in sets.items()
-        for index, walkers in enumerate(layout.walkers)
-        for corner, (start, end) in enumerate(zip(walkers.loop, np.roll(walkers.loop, -1, 0).tolist(), strict=True))
-    ]
+    legs = []
+    for name, layout in sets.items():
+        for index, walkers in enumerate(layout.walkers):
+            next_places = np.roll(walkers.loop, -1, 0).tolist()
+            for corner, (place, next_place) in enumerate(zip(walkers.loop, next_places, strict=True)):
+                legs.append(LoopLeg(name, index, corner, place, next_place))
     start = np.array([leg.start for leg in legs], jnp.result_type(float))
     end = np.array([leg.end for leg in legs], jnp.result_type(float))
     point = np.unique(start, axis=0)  # (M, 2)
@@ -123,19 +128,22 @@ def _find_ways(sets: dict[str, Set], navigation: paths.Navigation, waypoint: np.
     key = *paths.inputs(navigation), point, start, end
     code = "people/handcrafted/__init__", *paths.CODE
     table = dict(cache.load_or_build("ways", code, key, lambda: _walks(navigation, point, start, end)))
-    for index in np.flatnonzero(~np.isfinite(table.pop("walk"))):
+    walk = table.pop("walk")
+    for index in np.flatnonzero(~np.isfinite(walk)):
         leg = legs[index]
         raise InputError(
             f"handcrafted.yaml: there is no way from walkers[{leg.walkers}].loop[{leg.corner}] of set '{leg.set}', "
             f"[{leg.start[0]:g}, {leg.start[1]:g}], to the next waypoint; move one of them."
         )
 
-    is_point = (waypoint[..., None, :].astype(point.dtype) == point).all(-1)  # (S, L, K, M)
+    is_equal = waypoint[..., None, :].astype(point.dtype) == point
+    is_point = is_equal.all(-1)  # (S, L, K, M)
+    index = is_point.argmax(-1).astype(np.int32)
     return Ways(
         navigation=navigation,
         point=to_device(point),
         paths_to_point=PathsToGoal(**to_device(table)),
-        index=to_device(is_point.argmax(-1).astype(np.int32)),
+        index=to_device(index),
     )
 
 
@@ -185,18 +193,22 @@ def _row(layout: Set, size: PaddedSize) -> dict[str, np.ndarray]:
     way = np.ones(size.people, np.int32)
     for number, walkers in enumerate(layout.walkers):
         loop = np.array(walkers.loop, jnp.result_type(float))
-        legs = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=-1)
-        waypoint[number, : len(loop)] = loop
-        walked[number, : len(loop)] = np.cumsum(legs)
-        waypoints[number] = len(loop)
+        to_next = np.roll(loop, -1, axis=0) - loop  # (K, 2) m
+        legs = np.linalg.norm(to_next, axis=-1)
+        count = len(loop)
+        waypoint[number, :count] = loop
+        walked[number, :count] = np.cumsum(legs)
+        waypoints[number] = count
 
         # Even shares of the length keep walkers of a loop apart, and opposite ways make them meet.
         members = slice(begin, begin + walkers.people)
         person = np.arange(walkers.people)
         index["loop"][members] = number
-        index["first"][members] = walkers.first_waypoints() if walkers.start == "waypoints" else -1
+        if walkers.start == "waypoints":
+            index["first"][members] = walkers.first_waypoints()
         share[members] = person / walkers.people
-        way[members] = 1 - 2 * (person % 2) if walkers.way == "both" else 1
+        if walkers.way == "both":
+            way[members] = 1 - 2 * (person % 2)
         begin += walkers.people
 
     # The robot's poses, which may be in groups.
@@ -212,11 +224,23 @@ def _row(layout: Set, size: PaddedSize) -> dict[str, np.ndarray]:
 
 def _poses(word: str, poses: list, names: list[str], center: np.ndarray) -> dict[str, np.ndarray]:
     """Places, headings and groups of five poses; the place of a pose in a group is the group's center."""
-    index = [names.index(pose) if isinstance(pose, str) else -1 for pose in poses]
-    place = [center[k] if k >= 0 else np.array(pose[:2]) for k, pose in zip(index, poses, strict=True)]
-    angle = np.deg2rad([0.0 if isinstance(pose, str) else pose[2] for pose in poses])
+    place = []  # m
+    degrees = []
+    group = []
+    for pose in poses:
+        if isinstance(pose, str):
+            index = names.index(pose)
+            place.append(center[index])
+            degrees.append(0.0)
+            group.append(index)
+        else:
+            place.append(pose[:2])
+            degrees.append(pose[2])
+            group.append(-1)
+
+    angle = np.deg2rad(degrees)
     return {
         word: np.array(place),
         word + "_heading": np.stack([np.cos(angle), np.sin(angle)], -1),
-        word + "_group": np.array(index, np.int32),
+        word + "_group": np.array(group, np.int32),
     }

@@ -5,7 +5,7 @@ Checks: fields that fit together, and room for people and robot.
 
 import math
 from collections.abc import Iterator
-from itertools import combinations, product
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
@@ -66,7 +66,11 @@ class LoopWalkers(pydantic.BaseModel):
     def first_waypoints(self) -> list[int]:
         """The index of each person's first waypoint, spaced evenly: 5 people of 10 waypoints start at every second."""
         count = len(self.loop)
-        return [-(-person * count // self.people) % count for person in range(self.people)]
+        waypoints = []
+        for person in range(self.people):
+            rounded_up = -(-person * count // self.people)
+            waypoints.append(rounded_up % count)
+        return waypoints
 
 
 class Group(pydantic.BaseModel):
@@ -136,7 +140,8 @@ class HandcraftedAnnotation(pydantic.BaseModel):
             else:
                 names = ALL, layout.situation, label
             for key in names:
-                sets_of.setdefault(key, {})[label] = layout
+                sets = sets_of.setdefault(key, {})
+                sets[label] = layout
         if name not in sets_of:
             raise InputError(files.unknown_name("sets", name, sets_of))
         return sets_of[name]
@@ -184,15 +189,16 @@ def _check_poses(location: files.Location, layout: Set) -> Iterator[files.Proble
     for key, poses, situation in (("starts", layout.starts, "leave_group"), ("goals", layout.goals, "join_group")):
         for index, pose in enumerate(poses):
             pose_location = (*location, key, index)
-            if isinstance(pose, str) and pose not in layout.groups:
+            is_group = isinstance(pose, str)
+            if is_group and pose not in layout.groups:
                 hint = files.suggest(pose, layout.groups) or "; add it to groups or give x, y and a heading"
                 yield pose_location, f"there is no group '{pose}'{hint}"
-            elif isinstance(pose, str) and layout.situation != situation:
+            elif is_group and layout.situation != situation:
                 yield (
                     pose_location,
                     f"only {key} of {situation} lie in a group and this is {layout.situation}; give x, y and a heading",
                 )
-            elif not isinstance(pose, str) and layout.situation == situation:
+            elif not is_group and layout.situation == situation:
                 yield pose_location, f"{key} of {situation} lie in a group; give the name of one instead of a place"
 
 
@@ -201,9 +207,11 @@ def trace(loop: list[tuple[float, float]]) -> np.ndarray:
     corners = np.array(loop, float)
     pieces = []
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        strides = int(np.ceil(np.linalg.norm(end - start) / STRIDE))
-        share = np.linspace(0.0, 1.0, max(2, strides + 1))[:-1]
-        pieces.append(start + share[:, None] * (end - start))
+        leg = end - start
+        strides = int(np.ceil(np.linalg.norm(leg) / STRIDE))
+        share = np.linspace(0.0, 1.0, max(2, strides + 1))
+        share = share[:-1]  # the last point is the first one of the next leg
+        pieces.append(start + share[:, None] * leg)
     return np.concatenate(pieces)
 
 
@@ -211,10 +219,12 @@ def check_apart(location: files.Location, layout: Set) -> Iterator[files.Problem
     """Mistakes in the distances within a set, without regard to obstacles."""
     loops = [np.array(walkers.loop, float) for walkers in layout.walkers]
     legs = [np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=-1) for loop in loops]
-    too_long = [index for index, lengths in enumerate(legs) if lengths.sum() > MAX_LOOP]
-    for index in too_long:
-        text = f"is {legs[index].sum():,.0f} m long; {MAX_LOOP:,g} m are the most"
-        yield (*location, "walkers", index, "loop"), text
+    too_long = False
+    for index, lengths in enumerate(legs):
+        total = lengths.sum()
+        if total > MAX_LOOP:
+            too_long = True
+            yield (*location, "walkers", index, "loop"), f"is {total:,.0f} m long; {MAX_LOOP:,g} m are the most"
     if too_long:
         return
 
@@ -223,7 +233,9 @@ def check_apart(location: files.Location, layout: Set) -> Iterator[files.Problem
         yield from _check_walkers((*location, "walkers", index), walkers, legs[index], traces[index])
     starts = []  # of people of each loop
     for walkers, loop, points in zip(layout.walkers, loops, traces, strict=True):
-        starts.append(loop[walkers.first_waypoints()] if walkers.start == "waypoints" else points)
+        if walkers.start == "waypoints":
+            points = loop[walkers.first_waypoints()]
+        starts.append(points)
     yield from _check_starts(location, starts)
     yield from _check_groups(location, layout, traces)
     yield from _check_robot(location, layout, starts)
@@ -243,8 +255,10 @@ def _check_starts(location: files.Location, starts: list[np.ndarray]) -> Iterato
 
 def _check_groups(location: files.Location, layout: Set, traces: list[np.ndarray]) -> Iterator[files.Problem]:
     """Groups that are too near to a loop, or to a group before them."""
-    rings = [(name, np.array([group.center]), reach(group.people)) for name, group in layout.groups.items()]
-    for index, (name, center, radius) in enumerate(rings):
+    rings = []  # name, center and radius of groups so far
+    for name, group in layout.groups.items():
+        center = np.array([group.center])  # (1, 2) m
+        radius = reach(group.people)
         group_location = (*location, "groups", name, "center")
         for i, points in enumerate(traces):
             gap = _gap(points, center) - radius
@@ -254,27 +268,32 @@ def _check_groups(location: files.Location, layout: Set, traces: list[np.ndarray
                     f"people of walkers[{i}] would walk through the group; move the group by {APART - gap:.2f} m or "
                     "more",
                 )
-        for other, other_center, other_radius in rings[:index]:
+        for other, other_center, other_radius in rings:
             gap = _gap(other_center, center) - radius - other_radius
             if gap < APART:
                 yield (
                     group_location,
                     f"leaves too little room to the group '{other}'; move one by {APART - gap:.2f} m or more",
                 )
+        rings.append((name, center, radius))
 
 
 def _check_robot(location: files.Location, layout: Set, starts: list[np.ndarray]) -> Iterator[files.Problem]:
     """Poses of the robot where people start or stand."""
-    obstacles = []  # points, radius and name
+    occupied = []  # points, radius and name
     for index, (walkers, points) in enumerate(zip(layout.walkers, starts, strict=True)):
         place = "the loop" if walkers.start == "spread" else "where somebody starts"
-        obstacles.append((points, 0.0, f"{place} of walkers[{index}]"))
+        occupied.append((points, 0.0, f"{place} of walkers[{index}]"))
     for name, group in layout.groups.items():
-        obstacles.append((np.array([group.center]), reach(group.people), f"the group '{name}'"))
-    for (pose_location, pose), (points, radius, name) in product(_places(location, layout), obstacles):
-        gap = _gap(points, np.array([pose[:2]])) - radius
-        if gap < APART:
-            yield pose_location, f"is {max(gap, 0.0):.2f} m from {name}; keep {APART:g} m or more"
+        center = np.array([group.center])
+        occupied.append((center, reach(group.people), f"the group '{name}'"))
+
+    for pose_location, pose in _places(location, layout):
+        point = np.array([pose[:2]])  # (1, 2) m
+        for points, radius, name in occupied:
+            gap = _gap(points, point) - radius
+            if gap < APART:
+                yield pose_location, f"is {max(gap, 0.0):.2f} m from {name}; keep {APART:g} m or more"
 
 
 def _places(location: files.Location, layout: Set) -> Iterator[tuple[files.Location, tuple[float, float, float]]]:
@@ -335,7 +354,8 @@ class WalkedLine(NamedTuple):
 
 def check_against(annotation: HandcraftedAnnotation, environment: Environment) -> Iterator[files.Problem]:
     """Mistakes in where the sets lie: off the floor, in obstacles, without room or with loops that are blocked."""
-    spots, lines = [], []
+    spots = []
+    lines = []
     for location, _, layout in annotation.each():
         spots += _spots(location, layout)
         for index, walkers in enumerate(layout.walkers):
@@ -387,10 +407,15 @@ def _are_blocked(environment: Environment, lines: list[WalkedLine]) -> Bool[np.n
         return np.zeros(0, bool)
     boxes = environment.obstacles
     ends = np.array([[line.start, line.end] for line in lines], float)
+
+    def test() -> dict[str, np.ndarray]:
+        blocked = jax.jit(_blocked)(environment, to_device(ends))
+        return {"blocked": np.asarray(blocked)}
+
     key = boxes.center, boxes.half_extent, boxes.yaw, ends
-    test = lambda: {"blocked": np.asarray(jax.jit(_blocked)(environment, to_device(ends)))}  # noqa: E731
     code = "people/handcrafted/annotation", "graph/annotation", "core/geometry"
-    return cache.load_or_build("legs", code, key, test)["blocked"]
+    table = cache.load_or_build("legs", code, key, test)
+    return table["blocked"]
 
 
 def _lines(location: files.Location, walkers: LoopWalkers) -> Iterator[WalkedLine]:
@@ -398,21 +423,29 @@ def _lines(location: files.Location, walkers: LoopWalkers) -> Iterator[WalkedLin
     corners = np.array(walkers.loop, float)
     count = len(corners)
     for k, corner in enumerate(corners):
-        before, after = corners[k - 1], corners[(k + 1) % count]
-        yield WalkedLine((*location, k), corner, after, "the way from here to the next waypoint")
-        turns = ((before, after), (after, before)) if walkers.way == "both" else ((before, after),)
+        before = corners[k - 1]
+        after = corners[(k + 1) % count]
+        corner_location = (*location, k)
+        yield WalkedLine(corner_location, corner, after, "the way from here to the next waypoint")
+        turns = [(before, after)]
+        if walkers.way == "both":
+            turns.append((after, before))
         for origin, following in turns:
             back = origin - corner
             early = corner + ARRIVED * back / max(np.linalg.norm(back), ARRIVED)
-            yield WalkedLine((*location, k), early, following, f"cutting the corner here by {ARRIVED:g} m")
+            yield WalkedLine(corner_location, early, following, f"cutting the corner here by {ARRIVED:g} m")
 
 
 def _blocked(environment: Environment, ends: Float[Array, "L 2 2"]) -> Bool[Array, "L"]:
     """Whether a person cannot walk a leg [m] straight."""
     cross_boxes = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
     legs_cross = jax.vmap(cross_boxes, in_axes=(0, 0, 0, 0, None, None))
-    px, py, qx, qy = ends[:, 0, 0], ends[:, 0, 1], ends[:, 1, 0], ends[:, 1, 1]
-    return legs_cross(px, py, qx, qy, environment.obstacles, PERSON).any(1)
+    px = ends[:, 0, 0]
+    py = ends[:, 0, 1]
+    qx = ends[:, 1, 0]
+    qy = ends[:, 1, 1]
+    crosses = legs_cross(px, py, qx, qy, environment.obstacles, PERSON)  # (L, W)
+    return crosses.any(1)
 
 
 def _max_people(points: np.ndarray, people: int) -> int:
@@ -422,11 +455,13 @@ def _max_people(points: np.ndarray, people: int) -> int:
     closed = np.concatenate([points, points[:1]])
     for count in range(people, 1, -1):
         first = np.linspace(0.0, 1.0 / count, 60)
-        share = (np.arange(count) / count)[:, None] + first[None, :]  # (count, 60)
+        behind = np.arange(count) / count
+        share = behind[:, None] + first[None, :]  # (count, 60)
         walked = (share % 1.0) * along[-1]
         place = np.stack([np.interp(walked, along, closed[:, k]) for k in (0, 1)], -1)
-        gaps = np.linalg.norm(place[:, None] - place[None, :], axis=-1)
-        if gaps[np.triu_indices(count, 1)].min() >= SPACING:
+        gaps = np.linalg.norm(place[:, None] - place[None, :], axis=-1)  # (count, count, 60)
+        gaps = gaps[np.triu_indices(count, 1)]
+        if gaps.min() >= SPACING:
             return count
     return 1
 
