@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from sean_jax.cli import command_line
+from support import quick
 from support.checkout import ROOT
 
 pytestmark = pytest.mark.form
@@ -91,10 +92,23 @@ def blocks(page: str, *languages: str) -> list[str]:
 
 
 PROGRAMS = [page for page in PAGES if blocks(page, "python") and page not in ELSEWHERE]
+LONG = {
+    f"docs/{name}.md"
+    for name in (
+        "behavior_graph",
+        "calibration",
+        "coming_from",
+        "devices",
+        "gradients",
+        "inverse_graph",
+        "learning",
+        "policies",
+    )
+}
+"""Pages whose programs are left to the night"""
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("page", PROGRAMS)
+@pytest.mark.parametrize("page", quick.slow(PROGRAMS, *(page for page in PROGRAMS if page not in LONG)))
 def test_programs_run(page, scenario, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     scope: dict = {"__name__": page}
