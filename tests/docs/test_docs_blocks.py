@@ -92,19 +92,9 @@ def blocks(page: str, *languages: str) -> list[str]:
 
 
 PROGRAMS = [page for page in PAGES if blocks(page, "python") and page not in ELSEWHERE]
-LONG = {
-    f"docs/{name}.md"
-    for name in (
-        "behavior_graph",
-        "calibration",
-        "coming_from",
-        "devices",
-        "gradients",
-        "inverse_graph",
-        "learning",
-        "policies",
-    )
-}
+TRAINING = "gradients", "learning", "calibration", "inverse_graph"
+SIMULATION = "behavior_graph", "coming_from", "devices", "policies"
+LONG = {f"docs/{name}.md" for name in TRAINING + SIMULATION}
 """Pages whose programs are left to the night"""
 
 
