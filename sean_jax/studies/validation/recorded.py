@@ -10,6 +10,7 @@ there people differ and have noise.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -20,13 +21,16 @@ from scipy.stats import wasserstein_distance
 from sean_jax import social_forces
 from sean_jax.core.data_types import Pedestrians, Scenario, State
 from sean_jax.people.recordings import Tracks
+from sean_jax.people.recordings.reading import read
 from sean_jax.studies.prediction import HABITS, evaluate, evaluate_samples, read_windows
 from sean_jax.studies.scenes import Scene, model
-from sean_jax.studies.validation.checks import CheckContext, CheckResult, result
+from sean_jax.studies.validation.checks import CheckContext, CheckResult, Skipped, result
+from sean_jax.studies.validation.measures import first_and_last
 from sean_jax.studies.validation.streets import STRIDE, TIME_STEP, Street, walked_again, windows_by_recording
 
 OBSERVED = 5  # moments (2 s) of each person that are known: their mean speed is preferred, and they are not counted
 SAMPLES = 20
+CLIP_RATE = 12.5  # frames per second of a clip
 TOUCH = 0.5  # m, between centers: nearer people collide [C24]
 CELLS = 10  # along x and y, in which [B25] divides a scene
 KERNELS = 0.25, 0.5, 1.0, 2.0, 4.0  # of the mean squared distance, widths of the kernels of the discrepancy
@@ -192,12 +196,75 @@ def closed_loop(context: CheckContext) -> CheckResult:
         Skipped: there are no recordings.
     """
     recordings = windows_by_recording(context)
-    scenes = [again(street) for windows in recordings.values() for street in windows]
+    scenes = {name: [again(street) for street in windows] for name, windows in recordings.items()}
+    moments = {name: [counted(street) for street in windows] for name, windows in recordings.items()}
+    return _walk_again(context, recordings, scenes, moments)
+
+
+def clips(context: CheckContext) -> CheckResult:
+    """The errors of clips of a station by the protocol of [C24]: 2 s of each person are given, then the person is free.
+
+    Raises:
+        Skipped: there are no clips.
+    """
+    paths = sorted((context.recordings() / "grand_central").glob("*.csv"))
+    if not paths:
+        raise Skipped("no clips in grand_central; give a folder with grand_central/gc_2104-2164.csv with --data.")
+    recordings = {path.stem: [clip(path)] for path in paths}
+    scenes = {name: [walked_again(street) for street in streets] for name, streets in recordings.items()}
+    moments = {name: [street.present for street in streets] for name, streets in recordings.items()}
+    return _walk_again(context, recordings, scenes, moments)
+
+
+def clip(path: Path) -> Street:
+    """The people of a clip from 2 s after they come on, with the mean speed and the last velocity of these 2 s.
+
+    Raises:
+        FileError: the file cannot be read.
+    """
+    tracks = read(path, "csv", CLIP_RATE)
+    every = round(TIME_STEP * CLIP_RATE)
+    position = np.asarray(tracks.position, float)
+    present = np.asarray(tracks.present)
+
+    # The goal is the very last place, which may lie between two of the moments that are compared.
+    people = np.arange(present.shape[1])
+    _, last = first_and_last(present)
+    goal = position[last, people]  # (N, 2) m
+    position = position[::every]
+    present = present[::every]
+    long_enough = present.sum(0) > OBSERVED + 2
+    position = position[:, long_enough]
+    present = present[:, long_enough]
+
+    # What is known: the first 2 s.
+    first, _ = first_and_last(present)
+    person = np.arange(present.shape[1])
+    known = [position[first + k, person] for k in range(OBSERVED + 1)]
+    step = np.linalg.norm(np.diff(known, axis=0), axis=-1)  # (OBSERVED, N) m
+    return Street(
+        position=position,
+        present=present & (np.cumsum(present, 0) > OBSERVED),
+        goal=goal[long_enough],
+        speed=step.mean(0) / TIME_STEP,
+        group=np.full(len(person), -1),
+        velocity=(known[-1] - known[-2]) / TIME_STEP,
+    )
+
+
+def _walk_again(
+    context: CheckContext,
+    recordings: dict[str, list[Street]],
+    scenes: dict[str, list[Scene]],
+    moments_that_count: dict[str, list[np.ndarray]],
+) -> CheckResult:
+    """The errors of scenes by name, each with the recorded street and the people and moments (T, N) that count."""
     average = replace(context, model=replace(context.model, move=Average(context.model.move)))
     straight = replace(context, model=model("constant_velocity"))
-    average_tracks = iter(average.simulate(scenes))
-    drawn_tracks = iter(context.simulate(scenes))
-    straight_tracks = iter(straight.simulate(scenes))
+    every_scene = [scene for several in scenes.values() for scene in several]
+    average_tracks = iter(average.simulate(every_scene))
+    drawn_tracks = iter(context.simulate(every_scene))
+    straight_tracks = iter(straight.simulate(every_scene))
 
     measured = {}
     straight_errors = {}
@@ -209,9 +276,8 @@ def closed_loop(context: CheckContext) -> CheckResult:
         known = []
         drawn = []
         weights = []
-        for street in windows:
+        for street, chosen in zip(windows, moments_that_count[name], strict=True):
             moments = len(street.position)
-            chosen = counted(street)
             average_walk = positions(next(average_tracks), moments)
             straight_walk = positions(next(straight_tracks), moments)
             walked.append(errors(average_walk, street.position, chosen))

@@ -52,6 +52,7 @@ class Street:
     goal: Float[np.ndarray, "N 2"]  # m, where they left, maybe later
     speed: Float[np.ndarray, "N"]  # m/s, mean of the whole recording
     group: Int[np.ndarray, "N"]  # of the recording, with whom they walk; -1 alone
+    velocity: Float[np.ndarray, "N 2"] | None = None  # m/s, at the first moment; None: towards the second one
 
     def pairs(self) -> Int[np.ndarray, "P 2"]:
         """Columns of two who walk together, without others."""
@@ -122,7 +123,9 @@ def walked_again(street: Street) -> Scene:
     people = np.arange(street.present.shape[1])
     first = street.present.argmax(0)  # (N,)
     start = street.position[first, people]  # (N, 2) m
-    velocity = (street.position[first + 1, people] - start) / TIME_STEP  # (N, 2) m/s
+    velocity = street.velocity  # (N, 2) m/s
+    if velocity is None:
+        velocity = (street.position[first + 1, people] - start) / TIME_STEP
     way = street.goal - start  # (N, 2) m
     way = way / np.maximum(np.linalg.norm(way, axis=-1), 1e-9)[:, None]
 

@@ -106,6 +106,33 @@ def test_constant_velocity_is_as_near_as_itself(street):
     assert found.passed and found.numbers["mae_made"] == found.numbers["mae_constant_velocity_made"]
 
 
+def test_people_of_a_clip_are_free_after_two_seconds(tmp_path):
+    """Three people, one of whom turns after what is given; a fourth is there for too short a time."""
+    (tmp_path / "grand_central").mkdir()
+    lines = ["frame,id,x,y"]
+    for frame in range(250):
+        time = 0.08 * frame
+        lines += [f"{frame},1,{1.2 * time:.4f},0", f"{frame},2,{30 - time:.4f},6"]
+        lines.append(f"{frame},3,{min(time, 4.0):.4f},{12 + max(0.0, time - 4.0):.4f}")
+        if frame < 30:
+            lines.append(f"{frame},4,5,{-9 - time:.4f}")
+    (tmp_path / "grand_central" / "made.csv").write_text("\n".join(lines) + "\n")
+
+    street = recorded.clip(tmp_path / "grand_central" / "made.csv")
+    assert street.present.shape[1] == 3 and street.present.argmax(0).tolist() == [5, 5, 5]
+    np.testing.assert_allclose(street.speed, [1.2, 1.0, 1.0], atol=1e-2)
+    np.testing.assert_allclose(street.velocity, [[1.2, 0.0], [-1.0, 0.0], [1.0, 0.0]], atol=1e-2)
+    np.testing.assert_allclose(street.goal[2], [4.0, 12 + 0.08 * 249 - 4.0], atol=1e-3)
+
+    numbers = recorded.clips(CheckContext(model("constant_velocity"), data=tmp_path)).numbers
+    path = street.position[5:, 2]
+    straight_way = street.position[5, 2] + np.linspace(0, 1, len(path))[:, None] * (path[-1] - street.position[5, 2])
+    most = np.linalg.norm(path - straight_way, axis=-1).mean()
+    assert 0.1 < numbers["mae_made"] <= most, "one of three goes round a corner"
+    with pytest.raises(Skipped, match="grand_central"):
+        recorded.clips(CheckContext(model("constant_velocity"), data=tmp_path / "grand_central"))
+
+
 def test_distributions_differ_by_their_earth_movers_distance():
     step = 0.4 * np.arange(6.0)[:, None, None] * np.array([1.0, 0.0])
     place = step + np.array([[0.0, 0.0], [0.0, 10.0]])  # two people at 1 m/s
