@@ -20,7 +20,8 @@ from jaxtyping import Bool, Float, Int, Shaped
 from sean_jax.core.data_types import Array, Pedestrians, Robot, Scenario
 from sean_jax.core.geometry import length, unit
 from sean_jax.graph import BehaviorGraph
-from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above, target_distance
+from sean_jax.people.behaviors import graph_choices
+from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above
 from sean_jax.social_forces.forces import components
 
 CHANGE = 0.4  # m/s2, at which the velocity that people want changes
@@ -134,7 +135,7 @@ def advance_errands(
     done = errand == 1
 
     # Where another person stands at the place, an errand is done next to it.
-    distance = target_distance(people, memory)
+    distance = graph_choices.target_distance(people, memory)
     speed = length(*components(people.velocity))
     is_crowded_out = (distance < ARRIVED) & (speed < CROWDED_OUT)
     is_there = (distance < AT_ERRAND) | is_crowded_out
@@ -251,10 +252,7 @@ def _is_recent(memory: GraphMemory, nodes: Int[Array, "K"]) -> Bool[Array, "N K"
 
 def goal_odds(graph: BehaviorGraph, memory: GraphMemory, bearing: Bearings) -> Float[Array, "N Mw"]:
     """The odds with which people draw each waypoint as their next goal."""
-    waypoints = graph.waypoints[None, :]
-    other = (waypoints != memory.hop[:, None]) & (waypoints >= 0)
-    weight = jnp.maximum(graph.weight[graph.waypoints], 1e-6)
-    odds = other.astype(float) * weight[None, :]
+    odds = graph_choices.waypoint_odds(graph, memory.hop)
 
     # Waypoints for which people hardly ever have a reason, then those that do not lie on their way.
     has_errand = (graph.errand[:, 1] > 0.0) | (graph.entrance > 0.0)  # (M,)
@@ -450,7 +448,7 @@ def leave(graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory) -> Ped
     """People, of whom those have left who are at an entrance that is their goal."""
     assert memory.trip is not None
     walks_to_waypoint = (memory.hop == memory.goal) & (memory.seat < 0)
-    is_there = walks_to_waypoint & (target_distance(people, memory) < ARRIVED)
+    is_there = walks_to_waypoint & (graph_choices.target_distance(people, memory) < ARRIVED)
 
     # Who has just come in has not had a goal yet.
     had_goal = memory.trip.visited[:, 0] >= 0
