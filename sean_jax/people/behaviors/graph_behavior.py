@@ -316,6 +316,10 @@ def direct_edge_by_edge(scenario: Scenario, state: State, key: Array) -> State:
 
 def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
     """People have an errand at each goal, come and leave at entrances, and turn in curves: see ``trips``."""
+    # Scenarios may have no people, and argmax of nothing is an error.
+    if scenario.people == 0:
+        return state
+
     tables: GraphTables = scenario.behavior.data
     key, draws = _split_draws(tables, scenario.people, key)
     choice_key, entrance_key = jax.random.split(key)
