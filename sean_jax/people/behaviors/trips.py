@@ -134,13 +134,14 @@ def advance_errands(
     errand = memory.trip.errand  # (N,) ticks
     done = errand == 1
 
-    # Where another person stands at the place, an errand is done next to it.
+    # Where another person stands at the place, an errand is done next to it. Who has left has none: a walking group
+    # would copy it from its leader, and stand for ever.
     distance = graph_choices.target_distance(people, memory)
     speed = length(*components(people.velocity))
     is_crowded_out = (distance < ARRIVED) & (speed < CROWDED_OUT)
     is_there = (distance < AT_ERRAND) | is_crowded_out
     walks_to_waypoint = (memory.seat < 0) & (memory.hop == memory.goal) & (errand == 0)
-    begins = walks_to_waypoint & is_there
+    begins = walks_to_waypoint & is_there & people.present
 
     # A new errand takes one tick or more, uniform between the limits of its waypoint.
     shortest, longest = components(graph.errand[memory.goal])  # (N,) s
