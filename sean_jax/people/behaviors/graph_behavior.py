@@ -39,7 +39,7 @@ from sean_jax.people.behaviors.starts import (
     walk_abreast,
 )
 from sean_jax.social_forces import draw_traits
-from sean_jax.social_forces.forces import turn_heading
+from sean_jax.social_forces.forces import components, turn_heading
 from sean_jax.world import navigation as paths
 
 SEATED = 0.25  # m from a seat, where the walk ends and the stay begins
@@ -123,7 +123,8 @@ def build(
 
     # The chance of a node is shared by its starts. People at seats have rows too, which nobody draws.
     spawn = np.asarray(graph.spawn)
-    log_chance = np.log(spawn[node] / np.bincount(node, minlength=len(spawn))[node])
+    n_starts = np.bincount(node, minlength=len(spawn))  # of each node
+    log_chance = np.log(spawn[node] / n_starts[node])
 
     # Everybody draws a start, those at seats too; padding has no chance (-inf), so it is drawn last.
     missing = max(people - len(start), 0)
@@ -163,7 +164,10 @@ def _starts(place: Place, graph: BehaviorGraph) -> tuple[np.ndarray, np.ndarray]
     """Starts (P, 2) [m] in the discs of nodes, away from groups, and the node (P,) of each."""
     position = np.asarray(graph.position)
     capacity = np.asarray(graph.capacity)
-    avoid = [(position[node], reach(int(capacity[node])) + 0.6) for node in np.asarray(graph.groups)]
+    avoid = []
+    for node in np.asarray(graph.groups):
+        radius = reach(int(capacity[node])) + 0.6
+        avoid.append((position[node], radius))
     return in_discs(place.environment, place.navigation, graph.position, graph.radius, graph.spawn, avoid)
 
 
@@ -184,11 +188,15 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, GraphMem
     start = _choose_starts(scenario, place_key, index)
     present = present_people(scenario)
     seat_of_present = jnp.where(present, seat, -1)
-    position = jnp.where(sits[:, None], of_seat(seat_position, seat), tables.start[start])
+    position = jnp.where(sits[:, None], of_seat(seat_position, seat), tables.start[start])  # (N, 2) m
 
     # Indexed as the starts, so the number of people at seats does not change where others look.
-    angle = jax.random.uniform(turn_key, (scenario.people,), float, 0.0, 2 * jnp.pi)[index]
-    facing = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    angles = jax.random.uniform(turn_key, (scenario.people,), float, 0.0, 2 * jnp.pi)
+    angle = angles[index]
+    facing = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)  # (N, 2)
+    seat_heading_of_present = of_seat(seat_heading, seat_of_present)
+    heading = jnp.where(sits[:, None], seat_heading_of_present, facing)
+    group_of_present = of_seat(graph.seat_group, seat_of_present)
 
     # One speed for a walking group, its leader's: at speeds of their own the members would drift apart.
     walking_group = leaders(scenario.behavior.companions, scenario.people)
@@ -196,9 +204,9 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, GraphMem
     pedestrians = Pedestrians(
         position=position,
         velocity=jnp.zeros_like(position),
-        heading=jnp.where(sits[:, None], of_seat(seat_heading, seat_of_present), facing),
+        heading=heading,
         desired_velocity=jnp.zeros_like(position),
-        group=jnp.where(seat_of_present >= 0, of_seat(graph.seat_group, seat_of_present), -1),
+        group=jnp.where(seat_of_present >= 0, group_of_present, -1),
         walking_group=walking_group,
         present=present,
         preferred_speed=group_speeds(scenario, walking_group, preferred_speed),
@@ -246,30 +254,38 @@ def _choose_starts(scenario: Scenario, key: Array, index: Int[Array, "N"]) -> In
 def _first_stay(scenario: Scenario, key: Array, seat: Int[Array, "N"]) -> Int[Array, "N"]:
     """The remaining stay at the seat in ticks, as if the episode had begun long before; 0 without a seat."""
     tables: GraphTables = scenario.behavior.data
-    limits = tables.graph.stay[of_seat(tables.graph.seat_node, seat)]
-    time = _residual_stay(limits, jax.random.uniform(key, (scenario.people, 2), float))
-    stay = _stay(scenario, jnp.full_like(time, jnp.inf) if tables.permanent else time)
+    node = of_seat(tables.graph.seat_node, seat)
+    chance = jax.random.uniform(key, (scenario.people, 2), float)
+    time = _residual_stay(tables.graph.stay[node], chance)  # (N,) s
+    if tables.permanent:
+        time = jnp.full_like(time, jnp.inf)
+    stay = _stay(scenario, time)
     stay = jnp.where(stay > 0, stay + of_seat(tables.patience, seat), 0)
     return jnp.where(seat >= 0, stay, 0)
 
 
 def _first_seats(seat_group: np.ndarray, permanent: bool) -> tuple[int, ...]:
     """The seats at which people start: all, without the last of each group if that is for visitors."""
-    others = [seat for seat, group in enumerate(seat_group) if group in seat_group[seat + 1 :]]
-    return tuple(others) if permanent else tuple(range(len(seat_group)))
+    if not permanent:
+        return tuple(range(len(seat_group)))
+    return tuple(seat for seat, group in enumerate(seat_group) if group in seat_group[seat + 1 :])
 
 
 def _patience(graph: BehaviorGraph, routing: str, time_step: float) -> np.ndarray:
     """(Q,) ticks for which the holder of a seat waits; 0 where successors are not sent ahead of time."""
-    longest = np.asarray(graph.stay)[np.asarray(graph.seat_node), 1]
-    wait = np.minimum(longest, graph_choices.MAX_WAIT) if routing != "edge" else np.zeros_like(longest)
+    seat_node = np.asarray(graph.seat_node)
+    longest = np.asarray(graph.stay)[seat_node, 1]
+    wait = np.minimum(longest, graph_choices.MAX_WAIT)
+    if routing == "edge":
+        wait = np.zeros_like(longest)
     return np.floor(wait / time_step + 1e-3).astype(np.int32)
 
 
 def _residual_stay(limits: Float[Array, "K 2"], chance: Float[Array, "K 2"]) -> Float[Array, "K"]:
     """Remaining stay times [s], drawn from the stationary residual distribution."""
-    shortest = limits[:, 0] / jnp.maximum(limits[:, 1], 1e-6)
-    whole = limits[:, 1] * jnp.sqrt(shortest**2 + chance[:, 0] * (1.0 - shortest**2))
+    low, high = components(limits)
+    ratio_square = (low / jnp.maximum(high, 1e-6)) ** 2
+    whole = high * jnp.sqrt(ratio_square + chance[:, 0] * (1.0 - ratio_square))
     return chance[:, 1] * whole
 
 
@@ -300,17 +316,18 @@ def direct_edge_by_edge(scenario: Scenario, state: State, key: Array) -> State:
 
 def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
     """People have an errand at each goal, come and leave at entrances, and turn in curves: see ``trips``."""
+    # Scenarios may have no people, and argmax of nothing is an error.
+    if scenario.people == 0:
+        return state
+
     tables: GraphTables = scenario.behavior.data
-    draws = None
-    if tables.temperature is not None:
-        key, draw_key = jax.random.split(key)
-        draws = graph_choices.draw(draw_key, tables.temperature, scenario.people, tables.graph.seat_group.shape[0])
+    key, draws = _split_draws(tables, scenario.people, key)
     choice_key, entrance_key = jax.random.split(key)
     chance = TripChances(*jax.random.uniform(choice_key, (5, scenario.people), float))
 
-    # Who comes in stands still for this step.
-    people = trips.leave(tables.graph, state.pedestrians, state.memory)
+    # Who leaves in this step does not come in at once.
     outside = ~state.pedestrians.present
+    people = trips.leave(tables.graph, state.pedestrians, state.memory)
     people, memory = trips.come_in(scenario, tables.graph, people, state.memory, outside, entrance_key)
     state = replace(state, pedestrians=people, memory=memory)
     graph = _graph_with_congestion(tables, state)
@@ -322,14 +339,7 @@ def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
     arrival = graph_choices.arrival_times(graph, tables.walk, people, memory)
     state = replace(state, memory=memory)
     memory = _choose_trips(scenario, graph, state, seats, arrival, rises | done, chance, draws)
-
-    # A walking group has one goal: its members copy the leader's choice.
-    if scenario.behavior.companions is not None:
-        assert memory.trip is not None  # set by reset
-        rows = memory.goal, memory.hop, memory.origin, memory.target, memory.trip.errand
-        goal, hop, origin, target, errand = follow_leaders(people.walking_group, *rows)
-        trip = memory.trip._replace(errand=errand)
-        memory = memory._replace(goal=goal, hop=hop, origin=origin, target=target, trip=trip)
+    memory = _follow_choices(scenario, people, memory)
 
     # What people want changes gradually, so their ways are curves.
     pace = graph_choices.pace(graph, arrival, memory, seats)
@@ -338,7 +348,54 @@ def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
         gap = walk_abreast(people, gap)
     memory, intent = trips.change_intent(memory, gap, speed, scenario.time_step)
     people = replace(people, desired_velocity=intent)
-    return replace(state, pedestrians=_turn_into_seats(scenario, people, memory), memory=memory)
+
+    # Bodies turn into seats as fast as people can turn.
+    max_angle = scenario.forces.walking.turn_rate * scenario.time_step
+    seat_heading = turn_heading(people.heading, of_seat(memory.seat_heading, memory.seat), max_angle)
+    people = _stand_in_groups(graph, people, memory, seat_heading)
+    return replace(state, pedestrians=people, memory=memory)
+
+
+def _split_draws(tables: GraphTables, people: int, key: Array) -> tuple[Array, Draws | None]:
+    """A key for the other choices, and the draws of a step with a temperature.
+
+    The key is split only with a temperature, so episodes without one do not depend on it.
+    """
+    if tables.temperature is None:
+        return key, None
+    key, draw_key = jax.random.split(key)
+    n_seats = tables.graph.seat_group.shape[0]
+    return key, graph_choices.draw(draw_key, tables.temperature, people, n_seats)
+
+
+def _follow_choices(scenario: Scenario, people: Pedestrians, memory: GraphMemory) -> GraphMemory:
+    """The memory, in which a walking group has one goal: its members copy the leader's choice, and errand."""
+    if scenario.behavior.companions is None:
+        return memory
+    rows = memory.goal, memory.hop, memory.origin, memory.target
+    goal, hop, origin, target = follow_leaders(people.walking_group, *rows)
+    memory = memory._replace(goal=goal, hop=hop, origin=origin, target=target)
+    if memory.trip is None:
+        return memory
+    (errand,) = follow_leaders(people.walking_group, memory.trip.errand)
+    return memory.with_trip(errand=errand)
+
+
+def _stand_in_groups(
+    graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory, seat_heading: Float[Array, "N 2"]
+) -> Pedestrians:
+    """People as members of the groups in which they stand.
+
+    Heading follows motion, and who stands has none: it is ``seat_heading``, but only once the walk has ended.
+    """
+    standing = memory.stay > 0
+    settled = standing & (graph_choices.target_distance(people, memory) < SEATED)
+    group = of_seat(graph.seat_group, memory.seat)
+    return replace(
+        people,
+        group=jnp.where(standing, group, -1),
+        heading=jnp.where(settled[:, None], seat_heading, people.heading),
+    )
 
 
 class TripChances(NamedTuple):
@@ -369,71 +426,87 @@ def _choose_trips(
         arrival: s, of ``graph_choices.arrival_times``.
         free: people without a goal.
     """
-    tables: GraphTables = scenario.behavior.data
     people = state.pedestrians
     memory, gives_up = trips.wait(people, state.memory, scenario.time_step)
     onward = free | trips.passes(graph, people, memory)
 
     # A few people choose in a step. A successor whose seat another person got is among them, now or later.
     has_lost_seat = graph.is_group[memory.goal] & (memory.seat < 0) & (memory.stay == 0)
-    few = trips.choosers((onward | gives_up | has_lost_seat) & people.present)
-    chosen = few.memory(memory)
-    known = tables.bearings if tables.congestion_cost is None else None
-    bearing = trips.bearings(graph) if known is None else known
-    barred = trips.barred_groups(graph, chosen, bearing)
+    candidates = (onward | gives_up | has_lost_seat) & people.present
+    few = trips.choosers(candidates)
+    before = few.memory(memory)
+    bearing = _bearings(scenario.behavior.data, graph)
+
+    # The others are barred from all groups.
+    barred = trips.barred_groups(graph, before, bearing)  # (K, G)
     barred = barred[few.row] | ~few.chooses[:, None]  # (N, G)
     seekers = onward & few.chooses & (people.walking_group < 0)
     memory, loses = graph_choices.send(graph, arrival, memory, seats, seekers, draws, barred)
+    chosen = few.memory(memory)
 
-    # The goal of people who have no seat.
-    is_sent = few.rows(memory.seat) != chosen.seat
-    chosen = trips.remember(chosen, chosen.goal, is_sent)
-    former = chosen.goal
-    chosen = chosen._replace(seat=few.rows(memory.seat), goal=few.rows(memory.goal), log_chance=memory.log_chance)
-    aimless = few.exists & few.rows(free | has_lost_seat | loses) & (chosen.seat < 0)
-    drawn, log_chance = trips.draw_goal(graph, trips.goal_odds(graph, chosen, bearing), few.rows(chance.goal))
+    # Who has no seat goes to a waypoint.
+    is_sent = chosen.seat != before.seat
+    chosen = trips.remember(chosen, before.goal, is_sent)
+    is_free = few.rows(free | has_lost_seat | loses)
+    aimless = few.exists & is_free & (chosen.seat < 0)
+    odds = trips.goal_odds(graph, chosen, bearing)
+    waypoint = graph_choices.draw_waypoint(graph, odds, few.rows(chance.goal))
     if draws is not None:
-        chosen = chosen.with_choices(jnp.sum(jnp.where(aimless, log_chance, 0.0)))
-    chosen = trips.remember(chosen._replace(goal=jnp.where(aimless, drawn, chosen.goal)), former, aimless)
+        log_chance = graph_choices.log_waypoint_chance(graph, odds, waypoint)
+        log_chance = jnp.where(aimless, log_chance, 0.0)
+        chosen = chosen.with_choices(jnp.sum(log_chance))
+    chosen = chosen._replace(goal=jnp.where(aimless, waypoint, chosen.goal))
+    chosen = trips.remember(chosen, before.goal, aimless)
 
-    # The next node of the path, and a place there.
-    goes_on = few.exists & few.rows(onward)
+    # The way there, or back.
+    chosen = _set_out_on_trips(graph, state, chosen, few, onward, chance, draws)
     position = few.rows(people.position)
-    few_draws = None if draws is None else draws._replace(hop=few.rows(draws.hop))
-    chosen = graph_choices.set_out(graph, chosen, goes_on, few.rows(chance.place), few_draws)
-    place = trips.place_on_the_way(graph, position, state.robot, chosen, few.rows(chance.place))
-    to_seat = (chosen.seat >= 0) & (chosen.hop == chosen.goal)
-    chosen = chosen._replace(target=jnp.where((goes_on & ~to_seat)[:, None], place, chosen.target))
-    chosen = trips.end_errands(chosen, goes_on)
     chosen = trips.turn_round(graph, position, chosen, few.rows(chance.back), few.rows(gives_up))
     return few.update(memory, chosen)
 
 
-def _turn_into_seats(scenario: Scenario, people: Pedestrians, memory: GraphMemory) -> Pedestrians:
-    """People as members of the groups in which they stand; their bodies turn towards the others."""
-    tables: GraphTables = scenario.behavior.data
-    standing = memory.stay > 0
-    gap = memory.target - people.position  # (N, 2) m
-    settled = standing & (length(gap[:, 0], gap[:, 1]) < SEATED)
-    max_angle = scenario.forces.walking.turn_rate * scenario.time_step
-    heading = turn_heading(people.heading, of_seat(memory.seat_heading, memory.seat), max_angle)
-    return replace(
-        people,
-        group=jnp.where(standing, of_seat(tables.graph.seat_group, memory.seat), -1),
-        heading=jnp.where(settled[:, None], heading, people.heading),
-    )
+def _bearings(tables: GraphTables, graph: BehaviorGraph) -> trips.Bearings:
+    """The directions in which people set out: those of the tables, unless congestion changes the paths."""
+    if tables.bearings is None or tables.congestion_cost is not None:
+        return trips.bearings(graph)
+    return tables.bearings
+
+
+def _set_out_on_trips(
+    graph: BehaviorGraph,
+    state: State,
+    chosen: GraphMemory,
+    few: trips.Choosers,
+    onward: Bool[Array, "N"],
+    chance: TripChances,
+    draws: Draws | None,
+) -> GraphMemory:
+    """The choosers' memory with the next nodes of their paths, and places there that lie on the way.
+
+    Args:
+        onward: of all people, who leave a node.
+    """
+    goes_on = few.exists & few.rows(onward)
+    place_chance = few.rows(chance.place)
+    if draws is not None:
+        draws = draws._replace(hop=few.rows(draws.hop))
+    chosen = graph_choices.set_out(graph, chosen, goes_on, place_chance, draws)
+
+    # A seat is a place already.
+    position = few.rows(state.pedestrians.position)
+    place = trips.place_on_the_way(graph, position, state.robot, chosen, place_chance)
+    to_seat = (chosen.seat >= 0) & (chosen.hop == chosen.goal)
+    takes_place = goes_on & ~to_seat
+    target = jnp.where(takes_place[:, None], place, chosen.target)
+    return trips.end_errands(chosen._replace(target=target), goes_on)
 
 
 def _way(
     tables: GraphTables, people: Pedestrians, memory: GraphMemory, seats: Seats, pace: Float[Array, "N"]
 ) -> tuple[Float[Array, "N 2"], Float[Array, "N"]]:
     """The way [m] to the target or the next corner, and a speed [m/s], slower towards a place where a person stops."""
-
-    def gap_ahead(position: Array, target: Array, hop: Array) -> Array:
-        return _aim(tables, position, target, hop) - position
-
-    gap = jax.vmap(gap_ahead)(people.position, memory.target, memory.hop)  # (N, 2) m
-    distance = length(gap[:, 0], gap[:, 1])
+    gap = _gaps_ahead(tables, people, memory)
+    distance = length(*components(gap))
 
     # An early successor stands by while somebody has the seat.
     stops = memory.hop == memory.goal
@@ -441,9 +514,14 @@ def _way(
     early = stops & (memory.seat >= 0) & (memory.stay == 0) & of_seat(occupied, memory.seat)
     remaining = distance - jnp.where(early, graph_choices.STAND_BY, 0.0)
     speed = people.preferred_speed * pace
-    speed = jnp.where(stops, jnp.minimum(speed, trips.braking_speed(remaining)), speed)
-    speed = jnp.where(memory.stay > 0, jnp.minimum(speed, distance / SETTLING), speed)
-    return gap, jnp.where(trips.at_errand(memory), 0.0, speed)
+    stopping_speed = jnp.minimum(speed, trips.braking_speed(remaining))
+    speed = jnp.where(stops, stopping_speed, speed)
+
+    # Who stands at a seat takes the last steps, and who has an errand does not walk.
+    settling_speed = jnp.minimum(speed, distance / SETTLING)
+    speed = jnp.where(memory.stay > 0, settling_speed, speed)
+    speed = jnp.where(trips.at_errand(memory), 0.0, speed)
+    return gap, speed
 
 
 ROUTINGS = {"trips": direct_trips, "whole": direct, "edge": direct_edge_by_edge}
@@ -456,11 +534,7 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
     graph = _graph_with_congestion(tables, state)
     people = state.pedestrians
 
-    # The key is split only with a temperature, so episodes without one do not depend on it.
-    draws = None
-    if tables.temperature is not None:
-        key, draw_key = jax.random.split(key)
-        draws = graph_choices.draw(draw_key, tables.temperature, scenario.people, graph.seat_group.shape[0])
+    key, draws = _split_draws(tables, scenario.people, key)
     chance = jax.random.uniform(key, (3, scenario.people), float)  # (3, N)
 
     # Stays come first: whoever leaves a seat or reaches a waypoint chooses a goal in the same step.
@@ -478,11 +552,7 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
         memory = graph_choices.choose_edge(graph, people, memory, free, choice, draws)
         pace = jnp.ones_like(people.preferred_speed)
 
-    # A walking group has one goal: its members copy the leader's choice.
-    if scenario.behavior.companions is not None:
-        rows = memory.goal, memory.hop, memory.origin, memory.target
-        goal, hop, origin, target = follow_leaders(people.walking_group, *rows)
-        memory = memory._replace(goal=goal, hop=hop, origin=origin, target=target)
+    memory = _follow_choices(scenario, people, memory)
 
     # A switch of target is a jump; with a temperature a blend keeps positions differentiable across it.
     desired_velocity = _desired_velocity(tables, people, memory, seats, pace)
@@ -493,16 +563,9 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
     if scenario.behavior.companions is not None:
         desired_velocity = walk_abreast(people, desired_velocity)
 
-    # Heading follows motion, and who stands has none: it is the seat's, but only once the walk has ended.
-    standing = memory.stay > 0
-    gap = memory.target - people.position  # (N, 2) m
-    settled = standing & (length(gap[:, 0], gap[:, 1]) < SEATED)
-    people = replace(
-        people,
-        desired_velocity=desired_velocity,
-        group=jnp.where(standing, of_seat(graph.seat_group, memory.seat), -1),
-        heading=jnp.where(settled[:, None], of_seat(memory.seat_heading, memory.seat), people.heading),
-    )
+    people = replace(people, desired_velocity=desired_velocity)
+    seat_heading = of_seat(memory.seat_heading, memory.seat)
+    people = _stand_in_groups(graph, people, memory, seat_heading)
     return replace(state, pedestrians=people, memory=memory)
 
 
@@ -527,14 +590,14 @@ def _stay_or_leave(
 
     # A stay's ticks include the patience at its end, in which the holder only waits for a successor.
     patience = of_seat(tables.patience, memory.seat)
-    gap = memory.target - people.position  # (N, 2) m
-    distance = length(gap[:, 0], gap[:, 1])
+    distance = graph_choices.target_distance(people, memory)
     was_standing = memory.stay > 0
 
     # A holder rises if a successor is near, or when the waiting is over.
     seats = seats_of(memory, tables.patience, scenario.time_step)
     comes = ~was_standing & (memory.seat >= 0) & (memory.hop == memory.goal)
-    successor_is_near = _of_person(comes & (distance < graph_choices.HAND_OVER), seats.successor)  # (Q,)
+    is_near = comes & (distance < graph_choices.HAND_OVER)
+    successor_is_near = _of_person(is_near, seats.successor)  # (Q,)
     stay = jnp.maximum(memory.stay - 1, 0)
     hands_over = of_seat(successor_is_near, memory.seat) & (stay <= patience)
     rises = was_standing & ((stay == 0) | hands_over)
@@ -542,28 +605,34 @@ def _stay_or_leave(
     # Holder and successor change in one step, so a seat never has two people or none in between.
     given_up = _of_person(rises, seats.holder)  # (Q,)
     at_empty_seat = of_seat(seats.holder < 0, memory.seat) & (distance < SEATED)
-    sits_down = comes & (at_empty_seat | of_seat(given_up & successor_is_near, memory.seat))
+    takes_over = of_seat(given_up & successor_is_near, memory.seat)
+    sits_down = comes & (at_empty_seat | takes_over)
 
     # Stays are uniform between the limits of their group; with a temperature tails make limits differentiable.
-    limits = tables.graph.stay[of_seat(tables.graph.seat_node, memory.seat)]  # (N, 2) s
-    new_stay = _stay(scenario, limits[:, 0] + chance * (limits[:, 1] - limits[:, 0]))
+    node = of_seat(tables.graph.seat_node, memory.seat)
+    limits = tables.graph.stay[node]  # (N, 2) s
+    shortest, longest = components(limits)
+    time = shortest + chance * (longest - shortest)
+    new_stay = _stay(scenario, time)
     if draws is not None:
         both = jnp.stack([chance, draws.stay])
         new_stay, log_chance = graph_choices.sample_stay(limits, both, draws.temperature, scenario.time_step)
-        memory = memory.with_choices(jnp.sum(jnp.where(sits_down, log_chance, 0.0)))
+        log_chance = jnp.where(sits_down, log_chance, 0.0)
+        memory = memory.with_choices(jnp.sum(log_chance))
     new_stay = jnp.where(new_stay > 0, new_stay + patience, 0)
 
     # A seat with a stay of 0 means "on the way there", so a stay that takes no time must give up the seat.
     leaves = rises | (sits_down & (new_stay == 0))  # at once, if the new stay takes no time
-    stay = jnp.where(sits_down, new_stay, jnp.where(rises, 0, stay))
-    return memory._replace(stay=stay, seat=jnp.where(leaves, -1, memory.seat)), leaves
+    stay = jnp.where(rises, 0, stay)
+    stay = jnp.where(sits_down, new_stay, stay)
+    seat = jnp.where(leaves, -1, memory.seat)
+    return memory._replace(stay=stay, seat=seat), leaves
 
 
 def _at_waypoint(people: Pedestrians, before: GraphMemory) -> Bool[Array, "N"]:
     """Whether people without a seat are at the waypoint that was their goal."""
-    gap = before.target - people.position  # (N, 2) m
     walks_there = (before.stay == 0) & (before.seat < 0) & (before.hop == before.goal)
-    return walks_there & (length(gap[:, 0], gap[:, 1]) < ARRIVED)
+    return walks_there & (graph_choices.target_distance(people, before) < ARRIVED)
 
 
 def _of_person(values: Bool[Array, "N"], person: Int[Array, "Q"]) -> Bool[Array, "Q"]:
@@ -575,28 +644,38 @@ def _of_person(values: Bool[Array, "N"], person: Int[Array, "Q"]) -> Bool[Array,
 
 def _stay(scenario: Scenario, time: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
     """Ticks of stay times [s]."""
-    return jnp.ceil(jnp.minimum(clock.to_ticks(time, scenario.time_step), 1e9)).astype(jnp.int32)
+    ticks = clock.to_ticks(time, scenario.time_step)
+    ticks = jnp.minimum(ticks, 1e9)
+    return jnp.ceil(ticks).astype(jnp.int32)
 
 
 def _desired_velocity(
     tables: GraphTables, people: Pedestrians, memory: GraphMemory, seats: Seats, pace: Float[Array, "N"]
 ) -> Float[Array, "N 2"]:
     """Velocities [m/s] at the preferred speed to the target, or the next corner on the way; slower into a seat."""
-
-    def gap_ahead(position: Array, target: Array, hop: Array) -> Array:
-        return _aim(tables, position, target, hop) - position
-
-    gap = jax.vmap(gap_ahead)(people.position, memory.target, memory.hop)
-    distance = length(gap[:, 0], gap[:, 1])
+    gap = _gaps_ahead(tables, people, memory)
+    distance = length(*components(gap))
     speed = people.preferred_speed * pace
 
     # On the last edge to a seat people slow down, and stand by while somebody stands there.
     to_seat = (memory.seat >= 0) & (memory.hop == memory.goal)
     occupied = (seats.holder >= 0) & (seats.time_left > 0.0)
     early = (memory.stay == 0) & of_seat(occupied, memory.seat)
-    remaining = jnp.maximum(distance - jnp.where(early, graph_choices.STAND_BY, 0.0), 0.0)
-    speed = jnp.where(to_seat, jnp.minimum(speed, remaining / SETTLING), speed)
-    return gap * (speed / jnp.maximum(distance, 1e-6))[:, None]
+    stop = jnp.where(early, graph_choices.STAND_BY, 0.0)  # m before the seat
+    remaining = jnp.maximum(distance - stop, 0.0)
+    settling_speed = jnp.minimum(speed, remaining / SETTLING)
+    speed = jnp.where(to_seat, settling_speed, speed)
+    rate = speed / jnp.maximum(distance, 1e-6)  # 1/s
+    return gap * rate[:, None]
+
+
+def _gaps_ahead(tables: GraphTables, people: Pedestrians, memory: GraphMemory) -> Float[Array, "N 2"]:
+    """Vectors [m] from people to their targets, or to the next corners on the way."""
+
+    def gap_ahead(position: Array, target: Array, hop: Array) -> Array:
+        return _aim(tables, position, target, hop) - position
+
+    return jax.vmap(gap_ahead)(people.position, memory.target, memory.hop)
 
 
 def _blend(
@@ -609,12 +688,15 @@ def _blend(
 ) -> Float[Array, "N 2"]:
     """Velocities [m/s], partly towards the old target for people who reach it in this step: ``switched_share``."""
     gap = before.target - people.position
-    distance = length(gap[:, 0], gap[:, 1])
-    closer = jnp.sum(gap * people.velocity, axis=1) / jnp.maximum(distance, 1e-6) * scenario.time_step
+    distance = length(*components(gap))
+    approach_speed = jnp.sum(gap * people.velocity, axis=1) / jnp.maximum(distance, 1e-6)
+    closer = approach_speed * scenario.time_step  # m, in one step
     share = graph_choices.switched_share(distance, closer, ARRIVED)
     turns = (before.stay == 0) & (before.target != memory.target).any(1)
-    share = jnp.where(turns & (distance < ARRIVED), share, 1.0)[:, None]
-    old_velocity = _desired_velocity(scenario.behavior.data, people, before, seats, jnp.ones_like(distance))
+    share = jnp.where(turns & (distance < ARRIVED), share, 1.0)
+    share = share[:, None]
+    full_pace = jnp.ones_like(distance)
+    old_velocity = _desired_velocity(scenario.behavior.data, people, before, seats, full_pace)
     return share * desired_velocity + (1.0 - share) * old_velocity
 
 

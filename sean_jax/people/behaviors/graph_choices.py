@@ -34,6 +34,7 @@ from sean_jax.graph import BehaviorGraph
 from sean_jax.graph.annotation import NODES
 from sean_jax.graph.behavior_graph import hop_log_chances
 from sean_jax.io import cache
+from sean_jax.social_forces.forces import components
 from sean_jax.world import navigation as paths
 
 ARRIVED = 1.0  # m from the target, where a waypoint counts as reached (SEAN 2.0)
@@ -65,14 +66,17 @@ def draw(key: Array, temperature: Float[Array, ""], people: int, seats: int) -> 
     """The draws of a step with a temperature [m]."""
     person_key, seat_key = jax.random.split(key)
     hop, stay, seat = jax.random.uniform(person_key, (3, people), float)
-    return Draws(temperature, hop, stay, seat, jax.random.uniform(seat_key, (seats,), float))
+    taker = jax.random.uniform(seat_key, (seats,), float)
+    return Draws(temperature, hop, stay, seat, taker)
 
 
 def sample(log_chance: Float[Array, "N K"], chance: Float[Array, "N"]) -> tuple[Int[Array, "N"], Float[Array, "N"]]:
     """One of K for each of N by a uniform number from 0 to 1, and its log chance."""
-    cumulative = jnp.cumsum(jnp.exp(jax.lax.stop_gradient(log_chance)), axis=1)  # (N, K)
+    constant = jax.lax.stop_gradient(log_chance)
+    cumulative = jnp.cumsum(jnp.exp(constant), axis=1)  # (N, K)
     index = first_above(cumulative, chance, log_chance.shape[1])
-    return index, jnp.take_along_axis(log_chance, index[:, None], axis=1)[:, 0]
+    sampled = jnp.take_along_axis(log_chance, index[:, None], axis=1)
+    return index, sampled[:, 0]
 
 
 def first_above(
@@ -90,7 +94,9 @@ def log_chances(score: Float[Array, "N K"], temperature: Float[Array, ""]) -> Fl
     A score of inf cannot be chosen. A row without finite scores gets any finite numbers.
     """
     possible = jnp.isfinite(score)
-    logits = jnp.where(possible, -jnp.where(possible, score, 0.0) * (WALK / temperature), -1e30)
+    finite_score = jnp.where(possible, score, 0.0)
+    logits = -finite_score * (WALK / temperature)
+    logits = jnp.where(possible, logits, -1e30)
     return jax.nn.log_softmax(logits, axis=1)
 
 
@@ -107,12 +113,14 @@ def sample_stay(
         time_step: s, of a tick.
     """
     width = temperature / WALK
-    low = limits[:, 0]
-    high = jnp.maximum(limits[:, 1], low + SHORTEST)
+    low, high = components(limits)
+    high = jnp.maximum(high, low + SHORTEST)
     uniform = low + chance[0] * (high - low)
     noise = jnp.clip(chance[1], 1e-6, 1.0 - 1e-6)
-    time = uniform + width * (jnp.log(noise) - jnp.log1p(-noise))
-    ticks = jax.lax.stop_gradient(jnp.ceil(jnp.maximum(time, 0.0) / time_step))
+    logistic = jnp.log(noise) - jnp.log1p(-noise)
+    time = jnp.maximum(uniform + width * logistic, 0.0)
+    ticks = jnp.ceil(time / time_step)
+    ticks = jax.lax.stop_gradient(ticks)
 
     def cumulative(time: Array) -> Array:
         """The chance of a shorter time."""
@@ -120,9 +128,12 @@ def sample_stay(
         above_high = jax.nn.softplus((time - high) / width)
         return width * (above_low - above_high) / (high - low)
 
-    before = jnp.where(ticks > 0.0, cumulative((ticks - 1.0) * time_step), 0.0)
+    # The chance of a number of ticks is that of all times that are rounded up to it.
+    before = cumulative((ticks - 1.0) * time_step)
+    before = jnp.where(ticks > 0.0, before, 0.0)
     share = cumulative(ticks * time_step) - before
-    return ticks.astype(jnp.int32), jnp.log(jnp.maximum(share, 1e-12))
+    log_chance = jnp.log(jnp.maximum(share, 1e-12))
+    return ticks.astype(jnp.int32), log_chance
 
 
 def switched_share(distance: Float[Array, "N"], before: Float[Array, "N"], radius: float) -> Float[Array, "N"]:
@@ -182,6 +193,17 @@ class GraphMemory(NamedTuple):
         assert self.log_chance is not None  # set by reset
         return self._replace(log_chance=self.log_chance + log_chance)
 
+    def with_trip(self, **fields: Array) -> "GraphMemory":
+        """The memory with other values of some fields of ``trip``."""
+        assert self.trip is not None  # of ``routing="trips"``
+        return self._replace(trip=self.trip._replace(**fields))
+
+
+def target_distance(people: Pedestrians, memory: GraphMemory) -> Float[Array, "N"]:
+    """Distances [m] from people to their targets."""
+    gap = memory.target - people.position  # (N, 2) m
+    return length(*components(gap))
+
 
 class Seats(NamedTuple):
     """The people of each of the Q seats."""
@@ -203,10 +225,15 @@ def seats_of(memory: GraphMemory, patience: Int[Array, "Q"], time_step: float) -
     has_seat = memory.seat[:, None] == seat[None, :]  # (N, Q)
     stands = (memory.stay > 0)[:, None]
 
-    holder = jnp.max(jnp.where(has_seat & stands, person, -1), axis=0, initial=-1)
-    successor = jnp.max(jnp.where(has_seat & ~stands, person, -1), axis=0, initial=-1)
-    stay = jnp.max(jnp.where(has_seat, memory.stay[:, None], 0), axis=0, initial=0)
-    return Seats(holder, successor, (stay - patience).astype(float) * time_step)
+    # A seat has one holder at most, and one successor, so a maximum over people finds them.
+    holders = jnp.where(has_seat & stands, person, -1)
+    successors = jnp.where(has_seat & ~stands, person, -1)
+    stays = jnp.where(has_seat, memory.stay[:, None], 0)
+    holder = jnp.max(holders, axis=0, initial=-1)
+    successor = jnp.max(successors, axis=0, initial=-1)
+    stay = jnp.max(stays, axis=0, initial=0)
+    time_left = (stay - patience).astype(float) * time_step
+    return Seats(holder, successor, time_left)
 
 
 def of_seat(values: Shaped[Array, "Q *shape"], seat: Int[Array, "N"]) -> Shaped[Array, "N *shape"]:
@@ -229,25 +256,32 @@ def walking_lengths(graph: BehaviorGraph, navigation: paths.Navigation) -> np.nd
     table = cache.load_or_build("edge_lengths", code, key, lambda: {"length": _node_distances(navigation, position)})
 
     # Where no path leads from node to node, the straight line.
-    straight = np.linalg.norm(position[:, None] - position[None, :], axis=-1)
-    edge = np.where(np.isfinite(table["length"]), table["length"], straight)
+    gap = position[:, None] - position[None, :]  # (M, M, 2)
+    straight = np.linalg.norm(gap, axis=-1)
+    edge = table["length"]
+    edge = np.where(np.isfinite(edge), edge, straight)
 
     # All walks one edge on, until they are at their groups.
-    walk = np.zeros((len(position), groups.size))
-    node = np.tile(np.arange(len(position))[:, None], (1, groups.size))
-    for _ in position:
+    n_nodes = len(position)
+    walk = np.zeros((n_nodes, groups.size))
+    start = np.arange(n_nodes)[:, None]
+    node = np.tile(start, (1, groups.size))  # (M, G)
+    for _ in range(n_nodes):
         onward = next_hop[node, groups]
         onward = np.where(onward < 0, groups, onward)
-        walk = walk + np.where(node == onward, 0.0, edge[node, onward])
+        step = np.where(node == onward, 0.0, edge[node, onward])
+        walk = walk + step
         node = onward
     return walk
 
 
 def _node_distances(navigation: paths.Navigation, position: np.ndarray) -> np.ndarray:
     """(M, M) m of shortest paths around obstacles between nodes."""
-    padded = np.pad(position, [(0, -len(position) % NODES), (0, 0)], mode="edge")
+    n_nodes = len(position)
+    padded = np.pad(position, [(0, -n_nodes % NODES), (0, 0)], mode="edge")
     tables = in_programs(replace(navigation, visible=None, places=None, mesh_places=None))
-    return np.asarray(_geodesics(tables, jnp.asarray(padded, float)))[: len(position), : len(position)]
+    distances = _geodesics(tables, jnp.asarray(padded, float))
+    return np.asarray(distances)[:n_nodes, :n_nodes]
 
 
 @jax.jit
@@ -267,15 +301,15 @@ def arrival_times(
     """Times [s] at which people would be at groups, if they went there from their next node; ``walk`` [m] of
     ``walking_lengths``.
     """
-    gap = memory.target - people.position
-    to_target = length(gap[:, 0], gap[:, 1])
+    to_target = target_distance(people, memory)
     onward = graph.position[graph.next_hop[:, graph.groups]]  # (M, G, 2), the node after each
     leg = onward - graph.position[:, None]
-    after_leg = walk - length(leg[..., 0], leg[..., 1])
+    after_leg = walk - length(*components(leg))
 
     # The target is a point of the node's disc, from which the next node may be nearer than from the node's centre.
-    leg = onward[memory.hop] - memory.target[:, None]
-    after_target = jnp.maximum(after_leg[memory.hop] + length(leg[..., 0], leg[..., 1]), 0.0)
+    leg = onward[memory.hop] - memory.target[:, None]  # (N, G, 2)
+    after_target = after_leg[memory.hop] + length(*components(leg))
+    after_target = jnp.maximum(after_target, 0.0)
     is_goal = memory.hop[:, None] == graph.groups[None, :]
     after_target = jnp.where(is_goal, 0.0, after_target)
 
@@ -329,14 +363,17 @@ def send(
 
     # Both must agree, or one person could get two seats, or one seat two successors.
     person = jnp.arange(n_people, dtype=jnp.int32)
-    is_sent = (taker[seat] == person) & jnp.isfinite(jnp.min(score, axis=1))  # (N,)
-    assigned = is_sent[taker] & (seat[taker] == jnp.arange(n_seats, dtype=jnp.int32))  # (Q,)
+    best_score = jnp.min(score, axis=1)
+    is_sent = (taker[seat] == person) & jnp.isfinite(best_score)  # (N,)
+    all_seats = jnp.arange(n_seats, dtype=jnp.int32)
+    assigned = is_sent[taker] & (seat[taker] == all_seats)  # (Q,)
 
     # A seat has one successor: the former one walks on without a goal and chooses again in this step.
     walks_to_seat = (memory.seat >= 0) & (memory.stay == 0)
     loses = walks_to_seat & of_seat(assigned, memory.seat)
+    kept_seat = jnp.where(loses, -1, memory.seat)
     memory = memory._replace(
-        seat=jnp.where(is_sent, seat, jnp.where(loses, -1, memory.seat)),
+        seat=jnp.where(is_sent, seat, kept_seat),
         goal=jnp.where(is_sent, graph.seat_node[seat], memory.goal),
     )
     return memory, loses
@@ -359,14 +396,19 @@ def _seat_scores(
     limit = jnp.where(seats.time_left <= 0.0, jnp.inf, MAX_MISFIT)
     limit = jnp.where(seats.successor >= 0, replaceable, limit)
 
-    seeks = (seekers & (memory.seat < 0))[:, None]
-    possible = seeks & (memory.hop[:, None] != node) & (off < limit[None, :]) & (node >= 0)
-    return jnp.where(possible, off + 2.0 * seats.time_left[None, :], jnp.inf)
+    # Seats that are due first come first.
+    seeks = seekers & (memory.seat < 0)
+    is_elsewhere = memory.hop[:, None] != node
+    possible = seeks[:, None] & is_elsewhere & (off < limit[None, :]) & (node >= 0)
+    score = off + 2.0 * seats.time_left[None, :]
+    return jnp.where(possible, score, jnp.inf)
 
 
 def misfit(arrival: Float[Array, "..."], due: Float[Array, "..."]) -> Float[Array, "..."]:
     """The cost [s] of an arrival [s] for a seat that is due [s]: time too late, or ``EARLY`` times time too early."""
-    return jnp.maximum(arrival - due, EARLY * (due - arrival))
+    late = arrival - due
+    early = due - arrival
+    return jnp.maximum(late, EARLY * early)
 
 
 def pace(graph: BehaviorGraph, arrival: Float[Array, "N G"], memory: GraphMemory, seats: Seats) -> Float[Array, "N"]:
@@ -405,7 +447,8 @@ def choose_whole(
     alone = people.present & (people.walking_group < 0)  # walking groups take no seats
     memory, loses = send(graph, arrival, memory, seats, onward & alone, draws)
     aimless = (free & (memory.seat < 0)) | loses
-    goal = jnp.where(aimless, _other_waypoint(graph, memory.hop, chance[0]), memory.goal)
+    waypoint = _other_waypoint(graph, memory.hop, chance[0])
+    goal = jnp.where(aimless, waypoint, memory.goal)
     memory = _count_goals(graph, memory, goal, aimless, draws)
     return set_out(graph, memory._replace(goal=goal), onward, chance[1], draws)
 
@@ -447,10 +490,11 @@ def _join_neediest(
     graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory, onward: Bool[Array, "N"]
 ) -> tuple[Int[Array, ""], Bool[Array, "N"], Bool[Array, "N"], Int[Array, "N"]]:
     """The node of the group that lacks most members, who goes there, who of them reserves a seat, and which seat."""
-    empty = ~_taken(memory, graph.seat_group.shape[0]) & (graph.seat_node >= 0)
+    is_taken = _taken(memory, graph.seat_group.shape[0])
+    empty = ~is_taken & (graph.seat_node >= 0)
     group = jnp.arange(graph.groups.shape[0], dtype=jnp.int32)
-    of_group = graph.seat_group[:, None] == group[None, :]  # (Q, G)
-    lack = jnp.sum(of_group & empty[:, None], axis=0, dtype=jnp.int32)
+    in_group = graph.seat_group[:, None] == group[None, :]  # (Q, G)
+    lack = jnp.sum(in_group & empty[:, None], axis=0, dtype=jnp.int32)  # (G,)
     neediest = jnp.argmax(lack).astype(jnp.int32)
     node = graph.groups[neediest]
 
@@ -459,12 +503,15 @@ def _join_neediest(
     wants = onward & alone & (lack[neediest] > 0) & (memory.hop != node)
     on_last_edge = wants & (graph.next_hop[memory.hop, node] == node)
     reserves, seat = _in_turn(on_last_edge, empty & (graph.seat_group == neediest))
-    return node, wants & (reserves | ~on_last_edge), reserves, seat
+    goes = wants & (reserves | ~on_last_edge)
+    return node, goes, reserves, seat
 
 
 def _taken(memory: GraphMemory, seats: int) -> Bool[Array, "Q"]:
     """(Q,) seats that are reserved."""
-    return (memory.seat[:, None] == jnp.arange(seats, dtype=jnp.int32)[None, :]).any(0)
+    seat = jnp.arange(seats, dtype=jnp.int32)
+    has_seat = memory.seat[:, None] == seat[None, :]  # (N, Q)
+    return has_seat.any(0)
 
 
 def _in_turn(seekers: Bool[Array, "N"], seats: Bool[Array, "Q"]) -> tuple[Bool[Array, "N"], Int[Array, "N"]]:
@@ -473,23 +520,39 @@ def _in_turn(seekers: Bool[Array, "N"], seats: Bool[Array, "Q"]) -> tuple[Bool[A
         return jnp.zeros_like(seekers), jnp.full(seekers.shape, -1, jnp.int32)
     rank = jnp.cumsum(seekers, dtype=jnp.int32) - 1
     order = jnp.cumsum(seats, dtype=jnp.int32) - 1
-    match = seekers[:, None] & seats[None, :] & (rank[:, None] == order[None, :])
-    return match.any(1), jnp.argmax(match, axis=1).astype(jnp.int32)
+    match = seekers[:, None] & seats[None, :] & (rank[:, None] == order[None, :])  # (N, Q)
+    seat = jnp.argmax(match, axis=1).astype(jnp.int32)
+    return match.any(1), seat
 
 
 def _other_waypoint(graph: BehaviorGraph, hop: Int[Array, "N"], chance: Float[Array, "N"]) -> Int[Array, "N"]:
     """A random waypoint node other than ``hop`` if there is one, in proportion to the weights."""
-    cumulative = jnp.cumsum(_goal_odds(graph, hop), axis=1)
+    return draw_waypoint(graph, waypoint_odds(graph, hop), chance)
+
+
+def waypoint_odds(graph: BehaviorGraph, hop: Int[Array, "N"]) -> Float[Array, "N Mw"]:
+    """The odds with which people at ``hop`` draw each waypoint: its weight, and 0 of ``hop`` itself."""
+    waypoints = graph.waypoints[None, :]
+    other = (waypoints != hop[:, None]) & (waypoints >= 0)
+    other = other.astype(float)
+    odds = other * graph.weight[graph.waypoints][None, :]
+    total = jnp.sum(odds, axis=1, keepdims=True)
+    return jnp.where(total > 0.0, odds, other)  # else all others have weight 0
+
+
+def draw_waypoint(graph: BehaviorGraph, odds: Float[Array, "N Mw"], chance: Float[Array, "N"]) -> Int[Array, "N"]:
+    """A waypoint node for each person by its odds, and a uniform number from 0 to 1."""
+    cumulative = jnp.cumsum(odds, axis=1)
     n_waypoints = (graph.waypoints >= 0).sum(dtype=jnp.int32)
     return graph.waypoints[first_above(cumulative, chance, n_waypoints)]
 
 
-def _goal_odds(graph: BehaviorGraph, hop: Int[Array, "N"]) -> Float[Array, "N Mw"]:
-    """The odds with which people at ``hop`` draw each waypoint."""
-    waypoints = graph.waypoints[None, :]
-    other = ((waypoints != hop[:, None]) & (waypoints >= 0)).astype(float)
-    odds = other * graph.weight[graph.waypoints][None, :]
-    return jnp.where(jnp.sum(odds, axis=1, keepdims=True) > 0.0, odds, other)  # else all others have weight 0
+def log_waypoint_chance(graph: BehaviorGraph, odds: Float[Array, "N Mw"], goal: Int[Array, "N"]) -> Float[Array, "N"]:
+    """The log of the chance with which each person draws the goal by these odds."""
+    is_goal = graph.waypoints[None, :] == goal[:, None]  # (N, Mw)
+    goal_odds = jnp.sum(jnp.where(is_goal, odds, 0.0), axis=1)
+    chance = goal_odds / jnp.maximum(jnp.sum(odds, axis=1), 1e-30)
+    return jnp.log(jnp.maximum(chance, 1e-30))
 
 
 def _count_goals(
@@ -498,23 +561,23 @@ def _count_goals(
     """The memory with the log chances of goals that were drawn; unchanged without draws."""
     if draws is None:
         return memory
-    odds = _goal_odds(graph, memory.hop)
-    chosen = jnp.sum(jnp.where(graph.waypoints[None, :] == goal[:, None], odds, 0.0), axis=1)
-    chance = jnp.where(to_waypoint, chosen / jnp.maximum(jnp.sum(odds, axis=1), 1e-30), 1.0)
-    return memory.with_choices(jnp.sum(jnp.log(jnp.maximum(chance, 1e-30))))
+    log_chance = log_waypoint_chance(graph, waypoint_odds(graph, memory.hop), goal)
+    log_chance = jnp.where(to_waypoint, log_chance, 0.0)
+    return memory.with_choices(jnp.sum(log_chance))
 
 
 def _passes(people: Pedestrians, memory: GraphMemory) -> Bool[Array, "N"]:
     """Whether people have reached a node on the way to another."""
-    gap = memory.target - people.position
-    return (length(gap[:, 0], gap[:, 1]) < ARRIVED) & (memory.hop != memory.goal)
+    is_there = target_distance(people, memory) < ARRIVED
+    return is_there & (memory.hop != memory.goal)
 
 
 def set_out(
     graph: BehaviorGraph, memory: GraphMemory, onward: Bool[Array, "N"], chance: Float[Array, "N"], draws: Draws | None
 ) -> GraphMemory:
     """The next node of the path and a point of its disc, for people who leave a node."""
-    node, goal = memory.hop, memory.goal
+    node = memory.hop
+    goal = memory.goal
     next_hop = graph.next_hop[node, goal]  # -1 without a path
 
     # With a temperature the next node is drawn, and the gradient needs the chance of each draw.
@@ -523,16 +586,19 @@ def set_out(
         choice, log_chance = sample(log_chances[node, goal], draws.hop)
         chooses = onward & (next_hop >= 0) & (node != goal)
         next_hop = jnp.where(chooses, choice, next_hop)
-        memory = memory.with_choices(jnp.sum(jnp.where(chooses, log_chance, 0.0)))
+        log_chance = jnp.where(chooses, log_chance, 0.0)
+        memory = memory.with_choices(jnp.sum(log_chance))
     next_hop = jnp.where(next_hop >= 0, next_hop, goal)
     hop = jnp.where(onward, next_hop, node)
 
     # A point of the node's disc, or the seat.
     n_places = graph.places.shape[1]
-    index = jnp.minimum((chance * n_places).astype(jnp.int32), n_places - 1)
+    index = (chance * n_places).astype(jnp.int32)
+    index = jnp.minimum(index, n_places - 1)
     place = graph.places[hop, index]
     to_seat = (memory.seat >= 0) & (hop == memory.goal)
-    place = jnp.where(to_seat[:, None], of_seat(memory.seat_position, memory.seat), place)
+    seat_position = of_seat(memory.seat_position, memory.seat)
+    place = jnp.where(to_seat[:, None], seat_position, place)
     return memory._replace(
         hop=hop,
         origin=jnp.where(onward, node, memory.origin),

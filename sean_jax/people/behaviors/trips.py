@@ -20,34 +20,37 @@ from jaxtyping import Bool, Float, Int, Shaped
 from sean_jax.core.data_types import Array, Pedestrians, Robot, Scenario
 from sean_jax.core.geometry import length, unit
 from sean_jax.graph import BehaviorGraph
+from sean_jax.people.behaviors import graph_choices
 from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above
+from sean_jax.social_forces.forces import components
 
 CHANGE = 0.4  # m/s2, at which the velocity that people want changes
 MAX_CHANGE = 0.8  # m/s2, the same in a tight curve, and where people have to slow down
-MIN_GAP = 0.3  # m
+MIN_GAP = 0.3  # m, shortest distance for which a curve is computed
 BRAKING = 0.4  # m/s2, at which people slow down towards a place where they stop
 PATIENCE = 3.0  # s, after which people who do not get on give their goal up
-AHEAD = 1e4  # m, added to the distance of waypoints ahead of people who go back
+AHEAD_PENALTY = 1e4  # m, added to the distance of waypoints ahead of people who go back
 MIN_WANTED = 0.3  # m/s; people who want to be slower wait
-PROGRESS = 0.3  # of the speed that people want; slower ones do not get on
+MIN_PROGRESS = 0.3  # of the speed that people want; slower ones do not get on
 AT_ERRAND = 0.4  # m from the place of an errand
 BESIDE_ROBOT = 1.5  # m from a robot, where nobody has an errand
-HURRY = 3.0  # s, in which an errand ends if a robot comes
+HURRY_TIME = 3.0  # s, in which an errand ends if a robot comes
 CROWDED_OUT = 0.3  # m/s, a slower person within ARRIVED of the place has the errand here, because somebody is there
-BACK = -0.3  # cosine between the present and the next direction, below which a person would turn back
-RECENT = 1e-3  # odds of one of the last two goals, relative to others
-TURNS_BACK = 1e-6  # odds of a goal for which a person would turn back
+MIN_COSINE = -0.3  # between the present and the next direction, below which a person would turn back
+RECENT_ODDS = 1e-3  # of one of the last two goals, or of a waypoint without errands, relative to others
+TURN_BACK_ODDS = 1e-6  # of a goal for which a person would turn back, relative to others
 MAX_CUT = 2.5  # m before a node, where a person who turns there turns at the earliest
 ENTRANCE_GAP = 0.6  # m, to others, of a person who comes in
 MISSED = 3.0  # m from a place that a person has passed by
-OF_PERSON = "goal", "hop", "origin", "target", "seat", "stay"  # fields of ``GraphMemory`` with a row a person
+MISSED_BEHIND = 0.5  # m, at least, that this place lies behind
+PERSON_FIELDS = "goal", "hop", "origin", "target", "seat", "stay"  # fields of ``GraphMemory`` with a row a person
 MIN_CHOOSERS = 8  # people who choose in one step
 PEOPLE_PER_CHOOSER = 8  # in larger crowds
 CANDIDATES = 4  # places of a node, of which a person takes the one on the way
 
 
 class Choosers(NamedTuple):
-    """The people who choose in a step: a few, so that nothing is computed for those who only walk."""
+    """The K people who choose in a step: a few of all N, so that nothing is computed for those who only walk."""
 
     person: Int[Array, "K"]
     exists: Bool[Array, "K"]  # fewer people may choose; the other rows are of anybody
@@ -61,39 +64,45 @@ class Choosers(NamedTuple):
     def memory(self, memory: GraphMemory) -> GraphMemory:
         """The memory of the choosers."""
         assert memory.trip is not None
-        people = {name: self.rows(getattr(memory, name)) for name in OF_PERSON}
-        return memory._replace(**people, trip=jax.tree.map(self.rows, memory.trip))
+        people = {name: self.rows(getattr(memory, name)) for name in PERSON_FIELDS}
+        trip = jax.tree.map(self.rows, memory.trip)
+        return memory._replace(**people, trip=trip)
 
     def update(self, memory: GraphMemory, chosen: GraphMemory) -> GraphMemory:
         """The memory of all people, with that of the choosers."""
-
-        def new(rows: Array, old: Array) -> Array:
-            chooses = self.chooses.reshape((-1,) + (1,) * (old.ndim - 1))
-            return jnp.where(chooses, rows[self.row], old)
-
-        people = {name: new(getattr(chosen, name), getattr(memory, name)) for name in OF_PERSON}
-        trip = jax.tree.map(new, chosen.trip, memory.trip)
+        people = {name: self._update_rows(getattr(chosen, name), getattr(memory, name)) for name in PERSON_FIELDS}
+        trip = jax.tree.map(self._update_rows, chosen.trip, memory.trip)
         return memory._replace(**people, trip=trip, log_chance=chosen.log_chance)
+
+    def _update_rows(self, chosen: Shaped[Array, "K *shape"], values: Shaped[Array, "N *shape"]) -> Array:
+        """(N, ...) values of all people, with those of the choosers."""
+        shape = (-1,) + (1,) * (values.ndim - 1)
+        chooses = self.chooses.reshape(shape)
+        return jnp.where(chooses, chosen[self.row], values)
 
 
 def choosers(candidates: Bool[Array, "N"]) -> Choosers:
     """The first candidates. Others choose in the next step."""
     people = candidates.shape[0]
-    limit = min(people, max(MIN_CHOOSERS, people // PEOPLE_PER_CHOOSER))
-    rank = jnp.cumsum(candidates, dtype=jnp.int32) - 1
+    limit = max(MIN_CHOOSERS, people // PEOPLE_PER_CHOOSER)
+    limit = min(people, limit)
+    rank = jnp.cumsum(candidates, dtype=jnp.int32) - 1  # (N,)
     chooses = candidates & (rank < limit)
     row = jnp.clip(rank, 0, max(limit - 1, 0))
-    is_chooser = chooses[None, :] & (rank[None, :] == jnp.arange(limit, dtype=jnp.int32)[:, None])  # (K, N)
+
+    # The person of each row. Rows that nobody has are of the first person.
+    rows = jnp.arange(limit, dtype=jnp.int32)
+    is_chooser = chooses[None, :] & (rank[None, :] == rows[:, None])  # (K, N)
     person = jnp.argmax(is_chooser, axis=1).astype(jnp.int32)
     return Choosers(person, is_chooser.any(1), row, chooses)
 
 
 def begin(memory: GraphMemory, people: int) -> TripMemory:
-    """People who choose a goal in the first step."""
-    nowhere = jnp.full((people, 2), -1, jnp.int32)
+    """The memory at the start of an episode: people without a seat choose a goal in the first step."""
+    errand = jnp.where(memory.seat < 0, 1, 0)
     return TripMemory(
-        errand=jnp.where(memory.seat < 0, 1, 0).astype(jnp.int32),
-        visited=nowhere,
+        errand=errand.astype(jnp.int32),
+        visited=jnp.full((people, 2), -1, jnp.int32),
         intent=jnp.zeros((people, 2), float),
         blocked=jnp.zeros(people, float),
     )
@@ -122,61 +131,72 @@ def advance_errands(
         time_step: s, of control.
     """
     assert memory.trip is not None  # of routing="trips"
-    errand = memory.trip.errand
+    errand = memory.trip.errand  # (N,) ticks
     done = errand == 1
 
-    # Where another person stands at the place, an errand is done next to it.
-    gap = memory.target - people.position  # (N, 2) m
-    distance = length(gap[:, 0], gap[:, 1])
-    speed = length(people.velocity[:, 0], people.velocity[:, 1])
-    is_there = (distance < AT_ERRAND) | ((distance < ARRIVED) & (speed < CROWDED_OUT))
+    # Where another person stands at the place, an errand is done next to it. Who has left has none: a walking group
+    # would copy it from its leader, and stand for ever.
+    distance = graph_choices.target_distance(people, memory)
+    speed = length(*components(people.velocity))
+    is_crowded_out = (distance < ARRIVED) & (speed < CROWDED_OUT)
+    is_there = (distance < AT_ERRAND) | is_crowded_out
     walks_to_waypoint = (memory.seat < 0) & (memory.hop == memory.goal) & (errand == 0)
-    begins = walks_to_waypoint & is_there
+    begins = walks_to_waypoint & is_there & people.present
 
-    limits = graph.errand[memory.goal]  # (N, 2) s
-    duration = limits[:, 0] + chance * (limits[:, 1] - limits[:, 0])
-    ticks = jnp.maximum(jnp.ceil(duration / time_step).astype(jnp.int32), 1)
-    waiting = jnp.where(errand > 0, jnp.maximum(errand - 1, 1), 0)
-    errand = jnp.where(begins, ticks, waiting)
-    soon = round(HURRY / time_step)
-    errand = jnp.where(_beside(people.position, robot), jnp.minimum(errand, soon), errand)
-    return memory._replace(trip=memory.trip._replace(errand=errand)), done
+    # A new errand takes one tick or more, uniform between the limits of its waypoint.
+    shortest, longest = components(graph.errand[memory.goal])  # (N,) s
+    duration = shortest + chance * (longest - shortest)
+    new_errand = jnp.ceil(duration / time_step).astype(jnp.int32)
+    new_errand = jnp.maximum(new_errand, 1)
+    ticks_left = jnp.maximum(errand - 1, 1)
+    ticks_left = jnp.where(errand > 0, ticks_left, 0)
+    errand = jnp.where(begins, new_errand, ticks_left)
+
+    # Who stands beside a robot hurries.
+    hurried = jnp.minimum(errand, round(HURRY_TIME / time_step))
+    errand = jnp.where(_is_beside(robot, people.position), hurried, errand)
+    return memory.with_trip(errand=errand), done
 
 
 def end_errands(memory: GraphMemory, goes_on: Bool[Array, "N"]) -> GraphMemory:
     """The memory without the errands of people who go on."""
     assert memory.trip is not None
     errand = jnp.where(goes_on, 0, memory.trip.errand)
-    return memory._replace(trip=memory.trip._replace(errand=errand))
+    return memory.with_trip(errand=errand)
 
 
-def _beside(points: Float[Array, "*batch 2"], robot: Robot) -> Bool[Array, "*batch"]:
+def _is_beside(robot: Robot, points: Float[Array, "*batch 2"]) -> Bool[Array, "*batch"]:
     """Whether points [m] are so near to a robot that nobody stops there."""
-    robots = jnp.reshape(robot.position, (*(1,) * (points.ndim - 1), -1, 2))  # (..., M, 2) m
+    batch = (1,) * (points.ndim - 1)
+    robots = jnp.reshape(robot.position, (*batch, -1, 2))  # (..., M, 2) m
     gap = points[..., None, :] - robots
-    return (length(gap[..., 0], gap[..., 1]) < BESIDE_ROBOT).any(-1)
+    is_near = length(*components(gap)) < BESIDE_ROBOT
+    return is_near.any(-1)
 
 
 def passes(graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory) -> Bool[Array, "N"]:
     """Whether people turn towards the node after the next: as far before it as their curve begins."""
     gap = memory.target - people.position  # (N, 2) m
-    distance = length(gap[:, 0], gap[:, 1])
-    onward = graph.position[_next_node(graph, memory)] - memory.target  # (N, 2) m
-    ahead_x, ahead_y = unit(onward[:, 0], onward[:, 1])
-    here_x, here_y = unit(gap[:, 0], gap[:, 1])
+    distance = length(*components(gap))
+    onward = graph.position[_node_after_hop(graph, memory)] - memory.target  # (N, 2) m
+    onward_x, onward_y = unit(*components(onward))
+    direction_x, direction_y = unit(*components(gap))
 
     # A curve of radius r that turns by an angle begins r tan(angle / 2) before the corner.
-    speed_square = people.preferred_speed * people.preferred_speed
-    cosine = here_x * ahead_x + here_y * ahead_y
-    tangent = jnp.sqrt(jnp.maximum(1.0 - cosine, 0.0) / jnp.maximum(1.0 + cosine, 0.1))
-    before = jnp.clip(speed_square / CHANGE * tangent, ARRIVED, MAX_CUT)
+    cosine = direction_x * onward_x + direction_y * onward_y
+    tangent_square = jnp.maximum(1.0 - cosine, 0.0) / jnp.maximum(1.0 + cosine, 0.1)
+    radius = people.preferred_speed * people.preferred_speed / CHANGE
+    curve_begin = radius * jnp.sqrt(tangent_square)
+    curve_begin = jnp.clip(curve_begin, ARRIVED, MAX_CUT)  # m before the target
 
     # Who was pushed aside does not go back to a place that lies behind.
-    missed = (distance < MISSED) & (gap[:, 0] * ahead_x + gap[:, 1] * ahead_y < -0.5)
-    return ((distance < before) | missed) & (memory.hop != memory.goal)
+    ahead = gap[:, 0] * onward_x + gap[:, 1] * onward_y  # m
+    has_missed = (distance < MISSED) & (ahead < -MISSED_BEHIND)
+    turns = (distance < curve_begin) | has_missed
+    return turns & (memory.hop != memory.goal)
 
 
-def _next_node(graph: BehaviorGraph, memory: GraphMemory) -> Int[Array, "N"]:
+def _node_after_hop(graph: BehaviorGraph, memory: GraphMemory) -> Int[Array, "N"]:
     """The node after the next, or the next one if that is the goal."""
     node = graph.next_hop[memory.hop, memory.goal]
     return jnp.where(node >= 0, node, memory.hop)
@@ -192,62 +212,63 @@ class Bearings:
 
 def bearings(graph: BehaviorGraph) -> Bearings:
     """The directions in which people set out."""
+    to_waypoints = _bearings_to(graph, graph.waypoints)
+    to_groups = _bearings_to(graph, graph.groups)
+    return Bearings(to_waypoints, to_groups)
 
-    def to(goals: Int[Array, "K"]) -> Float[Array, "M K 2"]:
-        first = graph.next_hop[:, goals]  # (M, K)
-        first = jnp.where(first >= 0, first, goals[None, :])
-        way = graph.position[first] - graph.position[:, None]  # (M, K, 2) m
-        return jnp.stack(unit(way[..., 0], way[..., 1]), -1)
 
-    return Bearings(to(graph.waypoints), to(graph.groups))
+def _bearings_to(graph: BehaviorGraph, goals: Int[Array, "K"]) -> Float[Array, "M K 2"]:
+    """Unit vectors from each node to the first node on the way to each goal."""
+    first = graph.next_hop[:, goals]  # (M, K)
+    first = jnp.where(first >= 0, first, goals[None, :])
+    way = graph.position[first] - graph.position[:, None]  # (M, K, 2) m
+    return jnp.stack(unit(*components(way)), -1)
 
 
 def turns_back(memory: GraphMemory, bearing: Float[Array, "M K 2"]) -> Bool[Array, "N K"]:
-    """Whether people would turn back at their next node to go to each of some nodes. Who stands may go anywhere."""
+    """Whether people would turn back at their next node to go to each of some nodes. Who stands may go anywhere.
+
+    Args:
+        bearing: unit vectors from each node towards these nodes, see ``Bearings``.
+    """
     assert memory.trip is not None
-    x, y = unit(memory.trip.intent[:, 0], memory.trip.intent[:, 1])
-    way = bearing[memory.hop]  # (N, K, 2)
+    x, y = unit(*components(memory.trip.intent))
+    way_x, way_y = components(bearing[memory.hop])  # (N, K)
+    cosine = x[:, None] * way_x + y[:, None] * way_y
     walks = (memory.trip.errand == 0) & (memory.stay == 0)
-    return walks[:, None] & (x[:, None] * way[..., 0] + y[:, None] * way[..., 1] < BACK)
+    return walks[:, None] & (cosine < MIN_COSINE)
 
 
 def barred_groups(graph: BehaviorGraph, memory: GraphMemory, bearing: Bearings) -> Bool[Array, "N G"]:
     """The groups that people have just visited, or for which they would turn back."""
+    return _is_recent(memory, graph.groups) | turns_back(memory, bearing.to_groups)
+
+
+def _is_recent(memory: GraphMemory, nodes: Int[Array, "K"]) -> Bool[Array, "N K"]:
+    """Whether each of some nodes is one of the last two goals of each person."""
     assert memory.trip is not None
-    recent = (memory.trip.visited[:, :, None] == graph.groups[None, None, :]).any(1)
-    return recent | turns_back(memory, bearing.to_groups)
+    is_goal = memory.trip.visited[:, :, None] == nodes[None, None, :]  # (N, 2, K)
+    return is_goal.any(1)
 
 
 def goal_odds(graph: BehaviorGraph, memory: GraphMemory, bearing: Bearings) -> Float[Array, "N Mw"]:
     """The odds with which people draw each waypoint as their next goal."""
-    assert memory.trip is not None
-    waypoints = graph.waypoints[None, :]
-    other = ((waypoints != memory.hop[:, None]) & (waypoints >= 0)).astype(float)
-    weight = jnp.maximum(graph.weight[graph.waypoints], 1e-6)[None, :]
-    recent = (memory.trip.visited[:, :, None] == waypoints[:, None, :]).any(1)
-    odds = other * weight
-    has_errand = (graph.errand[:, 1] > 0.0) | (graph.entrance > 0.0)
-    odds = jnp.where(has_errand[graph.waypoints][None, :], odds, RECENT * odds)
-    odds = jnp.where(recent, RECENT * odds, odds)
-    return jnp.where(turns_back(memory, bearing.to_waypoints), TURNS_BACK * odds, odds)
+    odds = graph_choices.waypoint_odds(graph, memory.hop)
 
-
-def draw_goal(
-    graph: BehaviorGraph, odds: Float[Array, "N Mw"], chance: Float[Array, "N"]
-) -> tuple[Int[Array, "N"], Float[Array, "N"]]:
-    """A waypoint by its odds, and the log of its chance."""
-    n_waypoints = (graph.waypoints >= 0).sum(dtype=jnp.int32)
-    index = first_above(jnp.cumsum(odds, axis=1), chance, n_waypoints)
-    chosen = jnp.take_along_axis(odds, index[:, None], axis=1)[:, 0]
-    return graph.waypoints[index], jnp.log(jnp.maximum(chosen / jnp.maximum(jnp.sum(odds, axis=1), 1e-30), 1e-30))
+    # Waypoints for which people hardly ever have a reason, then those that do not lie on their way.
+    has_errand = (graph.errand[:, 1] > 0.0) | (graph.entrance > 0.0)  # (M,)
+    odds = jnp.where(has_errand[graph.waypoints][None, :], odds, RECENT_ODDS * odds)
+    odds = jnp.where(_is_recent(memory, graph.waypoints), RECENT_ODDS * odds, odds)
+    return jnp.where(turns_back(memory, bearing.to_waypoints), TURN_BACK_ODDS * odds, odds)
 
 
 def remember(memory: GraphMemory, goal: Int[Array, "N"], changed: Bool[Array, "N"]) -> GraphMemory:
     """The memory with former goals of people whose goal has changed."""
     assert memory.trip is not None
-    visited = jnp.stack([goal, memory.trip.visited[:, 0]], -1)
+    last_goal = memory.trip.visited[:, 0]
+    visited = jnp.stack([goal, last_goal], -1)  # (N, 2)
     visited = jnp.where(changed[:, None], visited, memory.trip.visited)
-    return memory._replace(trip=memory.trip._replace(visited=visited))
+    return memory.with_trip(visited=visited)
 
 
 def place_on_the_way(
@@ -260,24 +281,36 @@ def place_on_the_way(
     """Of a few places [m] of the next node's disc the one with the shortest way over it; at a goal any place.
 
     At a goal no place beside a robot is taken if there is another.
+
+    Args:
+        position: m.
+        chance: uniform from 0 to 1.
     """
     places = _some_places(graph, memory.hop, chance)  # (N, K, 2) m
+    to_place = places - position[:, None]
+    node_after = _node_after_hop(graph, memory)
+    from_place = graph.position[node_after][:, None] - places
+    detour = length(*components(to_place)) + length(*components(from_place))  # (N, K) m
 
     # At a goal nothing lies beyond, so the first place is as good as any.
-    to_place = places - position[:, None]
-    beyond = graph.position[_next_node(graph, memory)][:, None] - places
-    detour = length(to_place[..., 0], to_place[..., 1]) + length(beyond[..., 0], beyond[..., 1])
-    beside = jnp.argmin(_beside(places, robot), axis=1)  # the first place that is not
-    best = jnp.where(memory.hop == memory.goal, beside, jnp.argmin(detour, axis=1))
-    return jnp.take_along_axis(places, best[:, None, None], axis=1)[:, 0]
+    shortest = jnp.argmin(detour, axis=1)
+    first_without_robot = jnp.argmin(_is_beside(robot, places), axis=1)
+    index = jnp.where(memory.hop == memory.goal, first_without_robot, shortest)
+    return _place_of_each(places, index)
+
+
+def _place_of_each(places: Float[Array, "N K 2"], index: Int[Array, "N"]) -> Float[Array, "N 2"]:
+    """The place [m] of each person with that person's index."""
+    return jnp.take_along_axis(places, index[:, None, None], axis=1)[:, 0]
 
 
 def _some_places(graph: BehaviorGraph, node: Int[Array, "N"], chance: Float[Array, "N"]) -> Float[Array, "N K 2"]:
-    """``CANDIDATES`` places [m] of the disc of each person's node."""
+    """``CANDIDATES`` places [m] of the disc of each person's node, the first by a uniform number from 0 to 1."""
     n_places = graph.places.shape[1]
     first = (chance * n_places).astype(jnp.int32)
-    stride = jnp.arange(CANDIDATES, dtype=jnp.int32) * (n_places // CANDIDATES + 1)
-    index = (first[:, None] + stride[None, :]) % n_places  # (N, K)
+    stride = n_places // CANDIDATES + 1
+    offset = jnp.arange(CANDIDATES, dtype=jnp.int32) * stride
+    index = (first[:, None] + offset[None, :]) % n_places  # (N, K)
     return graph.places[node[:, None], index]
 
 
@@ -291,49 +324,75 @@ def change_intent(
     Args:
         gap: m, to where people want to go next.
         speed: m/s, at which they want to go there.
+        time_step: s, of control.
     """
     assert memory.trip is not None
-    x, y = memory.trip.intent[:, 0], memory.trip.intent[:, 1]
-    before = length(x, y)
+    x, y = components(memory.trip.intent)
+    present_speed = length(x, y)
     ahead_x, ahead_y = unit(x, y)
-    way_x, way_y = unit(gap[:, 0], gap[:, 1])
-    distance = jnp.maximum(length(gap[:, 0], gap[:, 1]), MIN_GAP)
+    way_x, way_y = unit(*components(gap))
 
-    # The circle that leads from the present direction to a point has the curvature 2 sin(angle) / distance.
-    cosine = ahead_x * way_x + ahead_y * way_y
-    sine = jnp.where(cosine > 0.0, jnp.abs(ahead_x * way_y - ahead_y * way_x), jnp.where(before > 0.0, 1.0, 0.0))
-    curvature = 2.0 * sine / distance  # 1/m
-    speed = jnp.minimum(speed, jnp.sqrt(CHANGE / jnp.maximum(curvature, 1e-3)))
+    # A tight curve is walked slowly.
+    curvature = _curvature(memory.trip.intent, gap)  # (N,) 1/m
+    curve_speed = jnp.sqrt(CHANGE / jnp.maximum(curvature, 1e-3))
+    speed = jnp.minimum(speed, curve_speed)
+    change_x = speed * way_x - x
+    change_y = speed * way_y - y
 
-    # Along the way and across it: who has to may brake and turn harder.
-    change_x, change_y = speed * way_x - x, speed * way_y - y
+    # Along the present direction and across it, to the left: who has to may brake and turn harder.
     along = change_x * ahead_x + change_y * ahead_y
-    across = change_y * ahead_x - change_x * ahead_y
-    most_across = jnp.clip(curvature * before * before, CHANGE, MAX_CHANGE) * time_step
     along = jnp.clip(along, -MAX_CHANGE * time_step, CHANGE * time_step)
-    across = jnp.clip(across, -most_across, most_across)
+    across = change_y * ahead_x - change_x * ahead_y
+    max_across = jnp.clip(curvature * present_speed * present_speed, CHANGE, MAX_CHANGE) * time_step
+    across = jnp.clip(across, -max_across, max_across)
+    turned_x = along * ahead_x - across * ahead_y
+    turned_y = along * ahead_y + across * ahead_x
 
     # Who stands has no direction and sets out towards the goal.
-    size = length(change_x, change_y)
-    start = jnp.minimum(CHANGE * time_step / jnp.maximum(size, 1e-6), 1.0)
-    stands = before < 1e-3
-    x = x + jnp.where(stands, start * change_x, along * ahead_x - across * ahead_y)
-    y = y + jnp.where(stands, start * change_y, along * ahead_y + across * ahead_x)
+    change = length(change_x, change_y)
+    share = jnp.minimum(CHANGE * time_step / jnp.maximum(change, 1e-6), 1.0)
+    stands = present_speed < 1e-3
+    x = x + jnp.where(stands, share * change_x, turned_x)
+    y = y + jnp.where(stands, share * change_y, turned_y)
     intent = jnp.stack([x, y], -1)
-    return memory._replace(trip=memory.trip._replace(intent=intent)), intent
+    return memory.with_trip(intent=intent), intent
+
+
+def _curvature(intent: Float[Array, "N 2"], gap: Float[Array, "N 2"]) -> Float[Array, "N"]:
+    """Curvatures [1/m] of the circles that lead from velocities [m/s] over gaps [m]: 2 sin(angle) / distance.
+
+    A point behind has the curvature of a point beside; who stands needs no curve.
+    """
+    ahead_x, ahead_y = unit(*components(intent))
+    way_x, way_y = unit(*components(gap))
+    cosine = ahead_x * way_x + ahead_y * way_y
+    sine = jnp.abs(ahead_x * way_y - ahead_y * way_x)
+
+    walks = length(*components(intent)) > 0.0
+    sine_behind = jnp.where(walks, 1.0, 0.0)
+    sine = jnp.where(cosine > 0.0, sine, sine_behind)
+    distance = jnp.maximum(length(*components(gap)), MIN_GAP)
+    return 2.0 * sine / distance
 
 
 def wait(people: Pedestrians, memory: GraphMemory, time_step: float) -> tuple[GraphMemory, Bool[Array, "N"]]:
-    """The memory with the time for which people have not got on, and whether they give their goal up."""
+    """The memory with the time for which people have not got on, and whether they give their goal up.
+
+    Args:
+        time_step: s, of control.
+    """
     assert memory.trip is not None
     intent = memory.trip.intent
-    wanted = length(intent[:, 0], intent[:, 1])
-    progress = (people.velocity * intent).sum(-1) / jnp.maximum(wanted, 1e-6)
+    wanted_speed = length(*components(intent))
+    speed_ahead = (people.velocity * intent).sum(-1) / jnp.maximum(wanted_speed, 1e-6)
     walks = (memory.stay == 0) & (memory.trip.errand == 0) & people.present
-    is_held_up = walks & (wanted > MIN_WANTED) & (progress < PROGRESS * wanted)
+
+    # Time without progress counts, and is forgotten twice as fast.
+    is_held_up = walks & (wanted_speed > MIN_WANTED) & (speed_ahead < MIN_PROGRESS * wanted_speed)
     change = jnp.where(is_held_up, time_step, -2.0 * time_step)
     blocked = jnp.maximum(memory.trip.blocked + change, 0.0)
-    return memory._replace(trip=memory.trip._replace(blocked=blocked)), walks & (blocked > PATIENCE)
+    gives_up = walks & (blocked > PATIENCE)
+    return memory.with_trip(blocked=blocked), gives_up
 
 
 def turn_round(
@@ -353,16 +412,17 @@ def turn_round(
     node = _waypoint_behind(graph, position, memory.trip.intent)
     places = _some_places(graph, node, chance)  # (N, K, 2) m
     gap = places - position[:, None]
-    farthest = jnp.argmax(length(gap[..., 0], gap[..., 1]), axis=1)
-    place = jnp.take_along_axis(places, farthest[:, None, None], axis=1)[:, 0]
-    memory = remember(memory, memory.goal, gives_up)
-    assert memory.trip is not None
+    farthest = jnp.argmax(length(*components(gap)), axis=1)
+    place = _place_of_each(places, farthest)
+
+    # The goal that is given up counts as visited, so it is hardly ever the next one.
+    blocked = jnp.where(gives_up, 0.0, memory.trip.blocked)
+    memory = remember(memory, memory.goal, gives_up).with_trip(blocked=blocked)
     return memory._replace(
         goal=jnp.where(gives_up, node, memory.goal),
         hop=jnp.where(gives_up, node, memory.hop),
         target=jnp.where(gives_up[:, None], place, memory.target),
         seat=jnp.where(gives_up, -1, memory.seat),
-        trip=memory.trip._replace(blocked=jnp.where(gives_up, 0.0, memory.trip.blocked)),
     )
 
 
@@ -370,11 +430,14 @@ def _waypoint_behind(
     graph: BehaviorGraph, position: Float[Array, "N 2"], intent: Float[Array, "N 2"]
 ) -> Int[Array, "N"]:
     """The nearest waypoint that does not lie ahead of people who want a velocity [m/s]; the nearest if all do."""
-    gap = graph.position[graph.waypoints][None, :] - position[:, None]  # (N, Mw, 2) m
-    distance = length(gap[..., 0], gap[..., 1])
-    ahead = (gap * intent[:, None]).sum(-1) > 0.0
-    distance = jnp.where(ahead, distance + AHEAD, distance)
-    return graph.waypoints[jnp.argmin(jnp.where(graph.waypoints >= 0, distance, jnp.inf), axis=1)]
+    waypoints = graph.waypoints
+    gap = graph.position[waypoints][None, :] - position[:, None]  # (N, Mw, 2) m
+    distance = length(*components(gap))
+    is_ahead = (gap * intent[:, None]).sum(-1) > 0.0
+    distance = jnp.where(is_ahead, distance + AHEAD_PENALTY, distance)
+    distance = jnp.where(waypoints >= 0, distance, jnp.inf)
+    nearest = jnp.argmin(distance, axis=1)
+    return waypoints[nearest]
 
 
 def braking_speed(distance: Float[Array, "N"]) -> Float[Array, "N"]:
@@ -385,12 +448,13 @@ def braking_speed(distance: Float[Array, "N"]) -> Float[Array, "N"]:
 def leave(graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory) -> Pedestrians:
     """People, of whom those have left who are at an entrance that is their goal."""
     assert memory.trip is not None
-    gap = memory.target - people.position  # (N, 2) m
-    is_there = (memory.hop == memory.goal) & (memory.seat < 0) & (length(gap[:, 0], gap[:, 1]) < ARRIVED)
+    walks_to_waypoint = (memory.hop == memory.goal) & (memory.seat < 0)
+    is_there = walks_to_waypoint & (graph_choices.target_distance(people, memory) < ARRIVED)
 
     # Who has just come in has not had a goal yet.
     had_goal = memory.trip.visited[:, 0] >= 0
-    leaves = is_there & had_goal & (graph.entrance[memory.goal] > 0.0)
+    is_entrance = graph.entrance[memory.goal] > 0.0
+    leaves = is_there & had_goal & is_entrance
     velocity = jnp.where(leaves[:, None], 0.0, people.velocity)
     return replace(people, present=people.present & ~leaves, velocity=velocity)
 
@@ -410,11 +474,14 @@ def come_in(
     Args:
         outside: who may come in.
     """
+    # Where somebody arrives in this step, if anybody does.
     arrive_key, node_key, place_key = jax.random.split(key, 3)
     rate = jnp.sum(graph.entrance)  # people/s
-    arrives = jax.random.uniform(arrive_key, (), float) < 1.0 - jnp.exp(-rate * scenario.time_step)
+    chance = 1.0 - jnp.exp(-rate * scenario.time_step)
+    arrives = jax.random.uniform(arrive_key, (), float) < chance
     share = jax.random.uniform(node_key, (1,), float)
-    node = first_above(jnp.cumsum(graph.entrance)[None, :], share, graph.entrance.shape[0])[0]
+    cumulative = jnp.cumsum(graph.entrance)[None, :]  # (1, M)
+    node = first_above(cumulative, share, graph.entrance.shape[0])[0]
     index = jax.random.randint(place_key, (), 0, graph.places.shape[1], jnp.int32)
     place = graph.places[node, index]  # (2,) m
 
@@ -422,17 +489,19 @@ def come_in(
     person = jnp.arange(scenario.people, dtype=jnp.int32)
     limit = scenario.people if scenario.people_present is None else scenario.people_present
     may_come = outside & (person < limit)
-    gap = people.position - place[None, :]
-    is_near = people.present & (length(gap[:, 0], gap[:, 1]) < ENTRANCE_GAP)
+
+    # The first of these comes in, unless somebody stands in the entrance.
+    gap = people.position - place[None, :]  # (N, 2) m
+    is_near = people.present & (length(*components(gap)) < ENTRANCE_GAP)
     comes = arrives & (rate > 0.0) & may_come.any() & ~is_near.any()
     is_new = comes & (person == jnp.argmax(may_come))
-    return _place(people, memory, is_new, node, place)
+    return _place_new(people, memory, is_new, node, place)
 
 
-def _place(
+def _place_new(
     people: Pedestrians, memory: GraphMemory, is_new: Bool[Array, "N"], node: Int[Array, ""], place: Float[Array, "2"]
 ) -> tuple[Pedestrians, GraphMemory]:
-    """People, the new ones of whom stand at a place [m] of a node and choose a goal in the next step."""
+    """People, the new ones of whom stand at a place [m] of a node and have done their errand there."""
     assert memory.trip is not None
     column = is_new[:, None]
     people = replace(
@@ -448,7 +517,7 @@ def _place(
         intent=jnp.where(column, 0.0, memory.trip.intent),
         blocked=jnp.where(is_new, 0.0, memory.trip.blocked),
     )
-    return people, memory._replace(
+    memory = memory._replace(
         goal=jnp.where(is_new, node, memory.goal),
         hop=jnp.where(is_new, node, memory.hop),
         origin=jnp.where(is_new, node, memory.origin),
@@ -457,3 +526,4 @@ def _place(
         stay=jnp.where(is_new, 0, memory.stay),
         trip=trip,
     )
+    return people, memory
