@@ -126,6 +126,49 @@ def test_a_walking_person_is_not_sent_back(lab):
     assert (odds[:, waypoints.index(door)] < 1e-5 * odds.max(1)).all()
 
 
+def test_a_goal_of_weight_zero_is_not_drawn_even_if_people_would_turn_back_for_all_others(lab):
+    data = lab.behavior.data
+    desk = data.graph.names.index("desk")
+    graph = replace(data.graph, weight=data.graph.weight.at[desk].set(0.0))
+    memory = sean_jax.reset(lab, jax.random.key(0)).memory
+    n = lab.people
+    everywhere = jax.tree.map(lambda way: jnp.zeros_like(way).at[..., 0].set(1.0), data.bearings)
+    west = jnp.tile(jnp.array([-1.0, 0.0]), (n, 1))
+    memory = memory._replace(
+        stay=jnp.zeros(n, jnp.int32), trip=memory.trip._replace(intent=west, errand=jnp.zeros(n, jnp.int32))
+    )
+    odds = np.asarray(trips.goal_odds(graph, memory, everywhere))
+    column = np.asarray(graph.waypoints).tolist().index(desk)
+    assert (odds[:, column] == 0.0).all() and (odds.sum(1) > 0.0).all()
+
+
+def test_who_has_left_begins_no_errand(lab):
+    state = sean_jax.reset(lab, jax.random.key(0))
+    n = lab.people
+    memory = state.memory
+    corner = jnp.full(n, lab.behavior.data.graph.names.index("corner"), jnp.int32)
+    memory = memory._replace(
+        goal=corner,
+        hop=corner,
+        seat=jnp.full(n, -1, jnp.int32),
+        stay=jnp.zeros(n, jnp.int32),
+        target=state.pedestrians.position,
+        trip=memory.trip._replace(errand=jnp.zeros(n, jnp.int32)),
+    )
+    present = jnp.arange(n) > 0
+    people = replace(state.pedestrians, present=present)
+    graph = lab.behavior.data.graph
+    far = replace(state.robot, position=jnp.full(2, 100.0))
+    after, _ = trips.advance_errands(graph, people, far, memory, jnp.full(n, 0.5), lab.time_step)
+    assert ((np.asarray(after.trip.errand) > 0) == np.asarray(present)).all()
+
+
+def test_nobody_makes_a_trip():
+    nobody = sean_jax.make("lab", behavior="graph", routing="trips", people=0, task="random_ab_nav", dynamics="twin")
+    people, memory = jax.jit(lambda key: walk(nobody, key, 2))(jax.random.key(0))
+    assert people.position.shape == (2, 0, 2) and memory.goal.shape == (2, 0)
+
+
 def test_a_few_choose_in_a_step_and_the_others_in_the_next():
     candidates = jnp.asarray(np.arange(40) % 2 == 1)
     few = trips.choosers(candidates)
