@@ -1,7 +1,6 @@
 """Checks of people on Behavior Graphs: half turns, curves, heads and standstill on the floors that users look at.
 
-The detectors are those of ``floor_measures``, which see recorded people in the same way. There is no robot, but where a
-check says so.
+The detectors are those of ``floor_measures``, which see recorded people in the same way. No robot is on these floors.
 """
 
 import tempfile
