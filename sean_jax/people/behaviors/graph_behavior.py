@@ -7,7 +7,6 @@ in SEAN 2.0's code, and with ``group_membership="permanent"`` people who start i
 """
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +15,7 @@ from flax import struct
 from jaxtyping import Bool, Float, Int
 
 from sean_jax.core import clock
-from sean_jax.core.data_types import FAR, Array, Behavior, Groups, Pedestrians, Scenario, State
+from sean_jax.core.data_types import FAR, Array, Behavior, Groups, Pedestrians, Robot, Scenario, State
 from sean_jax.core.devices import to_device
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import length
@@ -322,27 +321,26 @@ def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
 
     tables: GraphTables = scenario.behavior.data
     key, draws = _split_draws(tables, scenario.people, key)
-    choice_key, entrance_key = jax.random.split(key)
-    chance = TripChances(*jax.random.uniform(choice_key, (5, scenario.people), float))
+    chance = trips.draw(key, scenario.people)
 
     # Who leaves in this step does not come in at once.
     outside = ~state.pedestrians.present
     people = trips.leave(tables.graph, state.pedestrians, state.memory)
-    people, memory = trips.come_in(scenario, tables.graph, people, state.memory, outside, entrance_key)
+    people, memory = trips.come_in(scenario, tables.graph, people, state.memory, outside, chance.arrival)
     state = replace(state, pedestrians=people, memory=memory)
     graph = _graph_with_congestion(tables, state)
 
     # Stays and errands come first: whoever is free chooses a goal in the same step.
-    memory, rises = _stay_or_leave(scenario, people, memory, chance.stay, draws)
-    memory, done = trips.advance_errands(graph, people, state.robot, memory, chance.errand, scenario.time_step)
+    # Nobody begins a stay and an errand in one step, so one number is enough for both.
+    memory, rises = _stay_or_leave(scenario, people, memory, chance.duration, draws)
+    memory, done = trips.advance_errands(graph, people, state.robot, memory, chance.duration, scenario.time_step)
     seats = seats_of(memory, tables.patience, scenario.time_step)
-    arrival = graph_choices.arrival_times(graph, tables.walk, people, memory)
     state = replace(state, memory=memory)
-    memory = _choose_trips(scenario, graph, state, seats, arrival, rises | done, chance, draws)
+    memory = _choose_trips(scenario, graph, state, seats, rises | done, chance, draws)
     memory = _follow_choices(scenario, people, memory)
 
     # What people want changes gradually, so their ways are curves.
-    pace = graph_choices.pace(graph, arrival, memory, seats)
+    pace = graph_choices.pace(graph, tables.walk, people, memory, seats)
     gap, speed = _way(tables, people, memory, seats, pace)
     if scenario.behavior.companions is not None:
         gap = walk_abreast(people, gap)
@@ -398,24 +396,13 @@ def _stand_in_groups(
     )
 
 
-class TripChances(NamedTuple):
-    """Uniform numbers from 0 to 1 of a step on trips."""
-
-    stay: Float[Array, "N"]
-    errand: Float[Array, "N"]
-    goal: Float[Array, "N"]
-    place: Float[Array, "N"]
-    back: Float[Array, "N"]  # place of people who give up
-
-
 def _choose_trips(
     scenario: Scenario,
     graph: BehaviorGraph,
     state: State,
     seats: Seats,
-    arrival: Float[Array, "N G"],
     free: Bool[Array, "N"],
-    chance: TripChances,
+    chance: trips.Chances,
     draws: Draws | None,
 ) -> GraphMemory:
     """Next goals of people who are free or give theirs up, and next nodes of those who pass one.
@@ -423,8 +410,7 @@ def _choose_trips(
     Seats without a successor come first, then waypoints by their weights. Nobody is sent back the way they come from.
 
     Args:
-        arrival: s, of ``graph_choices.arrival_times``.
-        free: people without a goal.
+        free: who has no goal.
     """
     people = state.pedestrians
     memory, gives_up = trips.wait(people, state.memory, scenario.time_step)
@@ -434,23 +420,27 @@ def _choose_trips(
     has_lost_seat = graph.is_group[memory.goal] & (memory.seat < 0) & (memory.stay == 0)
     candidates = (onward | gives_up | has_lost_seat) & people.present
     few = trips.choosers(candidates)
-    before = few.memory(memory)
-    bearing = _bearings(scenario.behavior.data, graph)
+    goes_on = few.exists & few.rows(onward)
+    if draws is not None:
+        draws = draws._replace(hop=few.rows(draws.hop), seat=few.rows(draws.seat))
 
-    # The others are barred from all groups.
-    barred = trips.barred_groups(graph, before, bearing)  # (K, G)
-    barred = barred[few.row] | ~few.chooses[:, None]  # (N, G)
-    seekers = onward & few.chooses & (people.walking_group < 0)
-    memory, loses = graph_choices.send(graph, arrival, memory, seats, seekers, draws, barred)
-    chosen = few.memory(memory)
+    # Seats come first.
+    before = memory.of_people(few.person)
+    bearing = _bearings(scenario.behavior.data, graph)
+    seekers = goes_on & few.rows(people.walking_group < 0)
+    barred = trips.barred_groups(graph, before, bearing)
+    seat, assigned, log_chance = _seats_for(scenario, graph, people, memory, seats, few, seekers, barred, draws)
+    memory, loses = graph_choices.lose_seats(memory, assigned)
+    chosen = graph_choices.take_seats(graph, memory.of_people(few.person), seat)
+    if draws is not None:
+        chosen = chosen.with_choices(log_chance)
+    chosen = trips.remember(chosen, before.goal, seat >= 0)
 
     # Who has no seat goes to a waypoint.
-    is_sent = chosen.seat != before.seat
-    chosen = trips.remember(chosen, before.goal, is_sent)
     is_free = few.rows(free | has_lost_seat | loses)
     aimless = few.exists & is_free & (chosen.seat < 0)
     odds = trips.goal_odds(graph, chosen, bearing)
-    waypoint = graph_choices.draw_waypoint(graph, odds, few.rows(chance.goal))
+    waypoint = graph_choices.draw_waypoint(graph, odds, chance.goal)
     if draws is not None:
         log_chance = graph_choices.log_waypoint_chance(graph, odds, waypoint)
         log_chance = jnp.where(aimless, log_chance, 0.0)
@@ -459,10 +449,40 @@ def _choose_trips(
     chosen = trips.remember(chosen, before.goal, aimless)
 
     # The way there, or back.
-    chosen = _set_out_on_trips(graph, state, chosen, few, onward, chance, draws)
     position = few.rows(people.position)
-    chosen = trips.turn_round(graph, position, chosen, few.rows(chance.back), few.rows(gives_up))
+    chosen = _set_out_on_trips(graph, position, state.robot, chosen, goes_on, chance.place, draws)
+    chosen = trips.turn_round(graph, position, chosen, chance.back, few.rows(gives_up))
     return few.update(memory, chosen)
+
+
+def _seats_for(
+    scenario: Scenario,
+    graph: BehaviorGraph,
+    people: Pedestrians,
+    memory: GraphMemory,
+    seats: Seats,
+    few: trips.Choosers,
+    seekers: Bool[Array, "K"],
+    barred: Bool[Array, "K G"],
+    draws: Draws | None,
+) -> tuple[Int[Array, "K"], Bool[Array, "Q"], Float[Array, ""]]:
+    """``offer_seats`` to choosers, so that arrival times are computed for these and present successors alone."""
+    # Graphs may have no groups, and argmin of nothing is an error.
+    n_seats = seats.holder.shape[0]
+    if n_seats == 0:
+        return jnp.full(seekers.shape, -1, jnp.int32), jnp.zeros(0, bool), jnp.zeros((), float)
+    walk = scenario.behavior.data.walk
+
+    def arrival_of(person: Array, group: Array | None) -> Array:
+        some_people = jax.tree.map(lambda values: values[person], people)
+        return graph_choices.arrival_times(graph, walk, some_people, memory.of_people(person), group)
+
+    arrival = arrival_of(few.person, None)  # (K, G) s
+    successor = jnp.maximum(seats.successor, 0)
+    arrival_of_successor = arrival_of(successor, graph.seat_group[:, None])[:, 0]  # (Q,) s
+    limit = graph_choices.largest_misfit(memory, seats, arrival_of_successor)
+    some_memory = memory.of_people(few.person)
+    return graph_choices.offer_seats(graph, arrival, some_memory, seats, limit, seekers, draws, barred)
 
 
 def _bearings(tables: GraphTables, graph: BehaviorGraph) -> trips.Bearings:
@@ -474,31 +494,28 @@ def _bearings(tables: GraphTables, graph: BehaviorGraph) -> trips.Bearings:
 
 def _set_out_on_trips(
     graph: BehaviorGraph,
-    state: State,
-    chosen: GraphMemory,
-    few: trips.Choosers,
-    onward: Bool[Array, "N"],
-    chance: TripChances,
+    position: Float[Array, "K 2"],
+    robot: Robot,
+    memory: GraphMemory,
+    onward: Bool[Array, "K"],
+    chance: Float[Array, "K"],
     draws: Draws | None,
 ) -> GraphMemory:
     """The choosers' memory with the next nodes of their paths, and places there that lie on the way.
 
     Args:
-        onward: of all people, who leave a node.
+        position: m.
+        onward: who leaves a node.
+        chance: uniform from 0 to 1.
     """
-    goes_on = few.exists & few.rows(onward)
-    place_chance = few.rows(chance.place)
-    if draws is not None:
-        draws = draws._replace(hop=few.rows(draws.hop))
-    chosen = graph_choices.set_out(graph, chosen, goes_on, place_chance, draws)
+    memory = graph_choices.set_out(graph, memory, onward, chance, draws)
 
     # A seat is a place already.
-    position = few.rows(state.pedestrians.position)
-    place = trips.place_on_the_way(graph, position, state.robot, chosen, place_chance)
-    to_seat = (chosen.seat >= 0) & (chosen.hop == chosen.goal)
-    takes_place = goes_on & ~to_seat
-    target = jnp.where(takes_place[:, None], place, chosen.target)
-    return trips.end_errands(chosen._replace(target=target), goes_on)
+    place = trips.place_on_the_way(graph, position, robot, memory, chance)
+    to_seat = (memory.seat >= 0) & (memory.hop == memory.goal)
+    takes_place = onward & ~to_seat
+    target = jnp.where(takes_place[:, None], place, memory.target)
+    return trips.end_errands(memory._replace(target=target), onward)
 
 
 def _way(
@@ -547,7 +564,7 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
     if whole:
         arrival = graph_choices.arrival_times(graph, tables.walk, people, memory)
         memory = graph_choices.choose_whole(graph, people, memory, seats, arrival, free, choice, draws)
-        pace = graph_choices.pace(graph, arrival, memory, seats)
+        pace = graph_choices.pace(graph, tables.walk, people, memory, seats)
     else:
         memory = graph_choices.choose_edge(graph, people, memory, free, choice, draws)
         pace = jnp.ones_like(people.preferred_speed)

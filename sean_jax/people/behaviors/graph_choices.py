@@ -50,6 +50,7 @@ MIN_GAIN = 2.0  # s, by which a person must be better in time to replace a succe
 MIN_PACE = 0.6  # of the preferred speed, for an early successor
 WALK = 1.0  # m/s, converts a temperature in metres to seconds, for choices between times
 SHORTEST = 1e-3  # s, minimum difference of the limits of stays
+PERSON_FIELDS = "goal", "hop", "origin", "target", "seat", "stay"  # fields of ``GraphMemory`` with a row a person
 
 
 class Draws(NamedTuple):
@@ -193,6 +194,12 @@ class GraphMemory(NamedTuple):
         assert self.log_chance is not None  # set by reset
         return self._replace(log_chance=self.log_chance + log_chance)
 
+    def of_people(self, person: Int[Array, "K"]) -> "GraphMemory":
+        """The memory of some people."""
+        fields = {name: getattr(self, name)[person] for name in PERSON_FIELDS}
+        trip = jax.tree.map(lambda values: values[person], self.trip)
+        return self._replace(**fields, trip=trip)
+
     def with_trip(self, **fields: Array) -> "GraphMemory":
         """The memory with other values of some fields of ``trip``."""
         assert self.trip is not None  # of ``routing="trips"``
@@ -296,25 +303,36 @@ def _geodesics(navigation: paths.Navigation, points: Float[Array, "M 2"]) -> Flo
 
 
 def arrival_times(
-    graph: BehaviorGraph, walk: Float[Array, "M G"], people: Pedestrians, memory: GraphMemory
-) -> Float[Array, "N G"]:
-    """Times [s] at which people would be at groups, if they went there from their next node; ``walk`` [m] of
-    ``walking_lengths``.
+    graph: BehaviorGraph,
+    walk: Float[Array, "M G"],
+    people: Pedestrians,
+    memory: GraphMemory,
+    group: Int[Array, "N J"] | None = None,
+) -> Float[Array, "N J"]:
+    """Times [s] at which people would be at groups, if they went there from their next node.
+
+    Args:
+        walk: m, of ``walking_lengths``.
+        group: the groups of each person; all groups if None.
     """
-    to_target = target_distance(people, memory)
+    if group is None:
+        every_group = jnp.arange(graph.groups.shape[0], dtype=jnp.int32)
+        group = every_group[None, :]
+    hop = memory.hop[:, None]
+    to_target = target_distance(people, memory)[:, None]
     onward = graph.position[graph.next_hop[:, graph.groups]]  # (M, G, 2), the node after each
     leg = onward - graph.position[:, None]
     after_leg = walk - length(*components(leg))
 
     # The target is a point of the node's disc, from which the next node may be nearer than from the node's centre.
-    leg = onward[memory.hop] - memory.target[:, None]  # (N, G, 2)
-    after_target = after_leg[memory.hop] + length(*components(leg))
+    leg = onward[hop, group] - memory.target[:, None]  # (N, J, 2)
+    after_target = after_leg[hop, group] + length(*components(leg))
     after_target = jnp.maximum(after_target, 0.0)
-    is_goal = memory.hop[:, None] == graph.groups[None, :]
+    is_goal = hop == graph.groups[group]
     after_target = jnp.where(is_goal, 0.0, after_target)
 
     speed = jnp.maximum(people.preferred_speed, 1e-3)
-    return CROWD * (to_target[:, None] + after_target) / speed[:, None] + LAST_STEPS
+    return CROWD * (to_target + after_target) / speed[:, None] + LAST_STEPS
 
 
 def send(
@@ -324,34 +342,61 @@ def send(
     seats: Seats,
     seekers: Bool[Array, "N"],
     draws: Draws | None = None,
-    barred: Bool[Array, "N G"] | None = None,
 ) -> tuple[GraphMemory, Bool[Array, "N"]]:
     """Sends successors to seats; returns the memory with new seats and goals, and whether people have lost their seat.
+
+    Args:
+        arrival: s, of ``arrival_times`` at all groups.
+        seekers: people at a node who choose their next goal.
+        draws: with a temperature, see ``offer_seats``.
+    """
+    if seats.holder.shape[0] == 0 or memory.seat.shape[0] == 0:
+        return memory, jnp.zeros(memory.seat.shape, bool)
+    of_successor = arrival[jnp.maximum(seats.successor, 0), graph.seat_group]
+    limit = largest_misfit(memory, seats, of_successor)
+    seat, assigned, log_chance = offer_seats(graph, arrival, memory, seats, limit, seekers, draws)
+
+    memory, loses = lose_seats(memory, assigned)
+    memory = take_seats(graph, memory, seat)
+    if draws is not None:
+        memory = memory.with_choices(log_chance)
+    return memory, loses
+
+
+def offer_seats(
+    graph: BehaviorGraph,
+    arrival: Float[Array, "K G"],
+    memory: GraphMemory,
+    seats: Seats,
+    limit: Float[Array, "Q"],
+    seekers: Bool[Array, "K"],
+    draws: Draws | None = None,
+    barred: Bool[Array, "K G"] | None = None,
+) -> tuple[Int[Array, "K"], Bool[Array, "Q"], Float[Array, ""]]:
+    """The seat to which each of some people is sent or -1, whether seats get a new successor, and the log chance.
 
     A seat without a successor gets a person who arrives at the end of the stay, or as soon as possible if nobody
     stands there or the holder waits already. Each seeker asks for the seat that is due first, and each seat takes the
     seeker who is best in time, if that seeker asks for it. So nobody gets two seats, and no seat gets two successors.
+    There is at least one person and one seat.
 
     Args:
-        arrival: s, of ``arrival_times``.
-        seekers: people at a node who choose their next goal.
+        arrival: s, of ``arrival_times`` at all groups.
+        memory: of these people.
+        limit: s, of ``largest_misfit``.
+        seekers: whether they are at a node and choose their next goal.
         draws: with a temperature, people ask and seats take by chances that decrease with the score.
         barred: the groups to which people do not go.
     """
-    n_people = memory.seat.shape[0]
-    n_seats = seats.holder.shape[0]
-
-    # Graphs may have no groups, and argmin of nothing is an error.
-    if n_seats == 0 or n_people == 0:
-        return memory, jnp.zeros(memory.seat.shape, bool)
-    score = _seat_scores(graph, arrival, memory, seats, seekers)  # (N, Q) s
+    score = _seat_scores(graph, arrival, memory, seats, limit, seekers)  # (K, Q) s
     if barred is not None:
         score = jnp.where(barred[:, graph.seat_group], jnp.inf, score)
     possible = jnp.isfinite(score)
 
     # One round of asking and taking, not an optimal assignment: who is left over asks at the next node.
+    log_chance = jnp.zeros((), float)
     if draws is None:
-        seat = jnp.argmin(score, axis=1).astype(jnp.int32)  # (N,)
+        seat = jnp.argmin(score, axis=1).astype(jnp.int32)  # (K,)
         taker = jnp.argmin(score, axis=0).astype(jnp.int32)  # (Q,)
     else:
         seat, log_asked = sample(log_chances(score, draws.temperature), draws.seat)
@@ -359,42 +404,66 @@ def send(
         # A row without a possible pair has no chances: it made no choice, and adds 0.
         log_asked = jnp.where(jnp.any(possible, axis=1), log_asked, 0.0)
         log_taken = jnp.where(jnp.any(possible, axis=0), log_taken, 0.0)
-        memory = memory.with_choices(jnp.sum(log_asked) + jnp.sum(log_taken))
+        log_chance = jnp.sum(log_asked) + jnp.sum(log_taken)
 
     # Both must agree, or one person could get two seats, or one seat two successors.
-    person = jnp.arange(n_people, dtype=jnp.int32)
+    person = jnp.arange(score.shape[0], dtype=jnp.int32)
     best_score = jnp.min(score, axis=1)
-    is_sent = (taker[seat] == person) & jnp.isfinite(best_score)  # (N,)
-    all_seats = jnp.arange(n_seats, dtype=jnp.int32)
+    is_sent = (taker[seat] == person) & jnp.isfinite(best_score)  # (K,)
+    all_seats = jnp.arange(score.shape[1], dtype=jnp.int32)
     assigned = is_sent[taker] & (seat[taker] == all_seats)  # (Q,)
+    return jnp.where(is_sent, seat, -1), assigned, log_chance
 
-    # A seat has one successor: the former one walks on without a goal and chooses again in this step.
+
+def lose_seats(memory: GraphMemory, assigned: Bool[Array, "Q"]) -> tuple[GraphMemory, Bool[Array, "N"]]:
+    """The memory without former successors of seats that get another one, and who these are.
+
+    A former successor walks on without a goal, and chooses again.
+    """
     walks_to_seat = (memory.seat >= 0) & (memory.stay == 0)
     loses = walks_to_seat & of_seat(assigned, memory.seat)
-    kept_seat = jnp.where(loses, -1, memory.seat)
-    memory = memory._replace(
-        seat=jnp.where(is_sent, seat, kept_seat),
-        goal=jnp.where(is_sent, graph.seat_node[seat], memory.goal),
+    return memory._replace(seat=jnp.where(loses, -1, memory.seat)), loses
+
+
+def take_seats(graph: BehaviorGraph, memory: GraphMemory, seat: Int[Array, "N"]) -> GraphMemory:
+    """The memory of people, some of whom are sent to a seat; -1: not sent."""
+    is_sent = seat >= 0
+    return memory._replace(
+        seat=jnp.where(is_sent, seat, memory.seat),
+        goal=jnp.where(is_sent, of_seat(graph.seat_node, seat), memory.goal),
     )
-    return memory, loses
+
+
+def largest_misfit(memory: GraphMemory, seats: Seats, arrival: Float[Array, "Q"]) -> Float[Array, "Q"]:
+    """The misfit [s] below which a person may be sent to each seat.
+
+    A successor who is nodes away can be replaced by somebody better, an empty seat takes anybody.
+
+    Args:
+        memory: of all people.
+        arrival: s, of the present successor of each seat; any number without one.
+    """
+    successor = jnp.maximum(seats.successor, 0)
+    is_far = memory.hop[successor] != memory.goal[successor]
+    off_of_successor = misfit(arrival, jnp.maximum(seats.time_left, 0.0))
+    replaceable = jnp.where(is_far, off_of_successor - MIN_GAIN, -jnp.inf)
+    limit = jnp.where(seats.time_left <= 0.0, jnp.inf, MAX_MISFIT)
+    return jnp.where(seats.successor >= 0, replaceable, limit)
 
 
 def _seat_scores(
-    graph: BehaviorGraph, arrival: Float[Array, "N G"], memory: GraphMemory, seats: Seats, seekers: Bool[Array, "N"]
-) -> Float[Array, "N Q"]:
+    graph: BehaviorGraph,
+    arrival: Float[Array, "K G"],
+    memory: GraphMemory,
+    seats: Seats,
+    limit: Float[Array, "Q"],
+    seekers: Bool[Array, "K"],
+) -> Float[Array, "K Q"]:
     """How badly [s] each person suits each seat: by arrival, and how soon the seat is due; inf where nobody is sent."""
     node = graph.seat_node[None, :]
     due = jnp.maximum(seats.time_left, 0.0)
     returns = jnp.where(memory.origin[:, None] == node, RETURN, 0.0)
     off = misfit(arrival[:, graph.seat_group], due[None, :]) + returns
-
-    # A successor who is nodes away can be replaced by somebody better, an empty seat takes anybody.
-    successor = jnp.maximum(seats.successor, 0)
-    is_far = memory.hop[successor] != memory.goal[successor]
-    off_of_successor = misfit(arrival[successor, graph.seat_group], due)
-    replaceable = jnp.where(is_far, off_of_successor - MIN_GAIN, -jnp.inf)
-    limit = jnp.where(seats.time_left <= 0.0, jnp.inf, MAX_MISFIT)
-    limit = jnp.where(seats.successor >= 0, replaceable, limit)
 
     # Seats that are due first come first.
     seeks = seekers & (memory.seat < 0)
@@ -411,12 +480,18 @@ def misfit(arrival: Float[Array, "..."], due: Float[Array, "..."]) -> Float[Arra
     return jnp.maximum(late, EARLY * early)
 
 
-def pace(graph: BehaviorGraph, arrival: Float[Array, "N G"], memory: GraphMemory, seats: Seats) -> Float[Array, "N"]:
-    """Fraction of the preferred speed, from ``MIN_PACE`` to 1: early successors walk slower."""
+def pace(
+    graph: BehaviorGraph, walk: Float[Array, "M G"], people: Pedestrians, memory: GraphMemory, seats: Seats
+) -> Float[Array, "N"]:
+    """Fraction of the preferred speed, from ``MIN_PACE`` to 1: early successors walk slower.
+
+    Args:
+        walk: m, of ``walking_lengths``.
+    """
     if graph.seat_group.shape[0] == 0:
         return jnp.ones(memory.seat.shape, float)
     group = of_seat(graph.seat_group, memory.seat)
-    expected = jnp.take_along_axis(arrival, group[:, None], axis=1)[:, 0]
+    expected = arrival_times(graph, walk, people, memory, group[:, None])[:, 0]
     is_successor = (memory.seat >= 0) & (memory.stay == 0)
     time_left = jnp.where(is_successor, of_seat(seats.time_left, memory.seat), 0.0)
     return jnp.clip(expected / jnp.maximum(time_left, 1e-3), MIN_PACE, 1.0)

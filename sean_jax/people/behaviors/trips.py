@@ -43,10 +43,30 @@ MAX_CUT = 2.5  # m before a node, where a person who turns there turns at the ea
 ENTRANCE_GAP = 0.6  # m, to others, of a person who comes in
 MISSED = 3.0  # m from a place that a person has passed by
 MISSED_BEHIND = 0.5  # m, at least, that this place lies behind
-PERSON_FIELDS = "goal", "hop", "origin", "target", "seat", "stay"  # fields of ``GraphMemory`` with a row a person
 MIN_CHOOSERS = 8  # people who choose in one step
 PEOPLE_PER_CHOOSER = 8  # in larger crowds
+CHOICES = "goal", "hop", "origin", "target", "seat"  # fields of ``GraphMemory`` that people choose
+TRIP_CHOICES = "errand", "visited", "blocked"  # fields of ``TripMemory`` that change with a choice
 CANDIDATES = 4  # places of a node, of which a person takes the one on the way
+
+
+class Chances(NamedTuple):
+    """Uniform numbers from 0 to 1 of one step."""
+
+    duration: Float[Array, "N"]  # of a stay or an errand that begins
+    goal: Float[Array, "K"]  # of people who choose
+    place: Float[Array, "K"]  # at their next node
+    back: Float[Array, "K"]  # place of people who give up
+    arrival: Float[Array, "3"]  # whether a person comes, at which entrance and where there
+
+
+def draw(key: Array, people: int) -> Chances:
+    """The numbers of one step."""
+    # One call, because each call is a program of its own on a GPU.
+    limit = max_choosers(people)
+    numbers = jax.random.uniform(key, (people + 3 * limit + 3,), float)
+    ends = people, people + limit, people + 2 * limit, people + 3 * limit
+    return Chances(*jnp.split(numbers, ends))
 
 
 class Choosers(NamedTuple):
@@ -61,31 +81,33 @@ class Choosers(NamedTuple):
         """The values of the choosers."""
         return values[self.person]
 
-    def memory(self, memory: GraphMemory) -> GraphMemory:
-        """The memory of the choosers."""
-        assert memory.trip is not None
-        people = {name: self.rows(getattr(memory, name)) for name in PERSON_FIELDS}
-        trip = jax.tree.map(self.rows, memory.trip)
-        return memory._replace(**people, trip=trip)
-
     def update(self, memory: GraphMemory, chosen: GraphMemory) -> GraphMemory:
-        """The memory of all people, with that of the choosers."""
-        people = {name: self._update_rows(getattr(chosen, name), getattr(memory, name)) for name in PERSON_FIELDS}
-        trip = jax.tree.map(self._update_rows, chosen.trip, memory.trip)
-        return memory._replace(**people, trip=trip, log_chance=chosen.log_chance)
+        """The memory of all people, with what the choosers have chosen."""
+        assert memory.trip is not None and chosen.trip is not None
+        choices = self._updated(memory, chosen, CHOICES)
+        trip_choices = self._updated(memory.trip, chosen.trip, TRIP_CHOICES)
+        return memory._replace(**choices, log_chance=chosen.log_chance).with_trip(**trip_choices)
 
-    def _update_rows(self, chosen: Shaped[Array, "K *shape"], values: Shaped[Array, "N *shape"]) -> Array:
-        """(N, ...) values of all people, with those of the choosers."""
-        shape = (-1,) + (1,) * (values.ndim - 1)
-        chooses = self.chooses.reshape(shape)
-        return jnp.where(chooses, chosen[self.row], values)
+    def _updated(self, memory: NamedTuple, chosen: NamedTuple, names: tuple[str, ...]) -> dict[str, Array]:
+        """Fields of a memory of all people, with the rows of the choosers."""
+        fields = {}
+        for name in names:
+            values = getattr(memory, name)
+            shape = (-1,) + (1,) * (values.ndim - 1)
+            chooses = self.chooses.reshape(shape)
+            fields[name] = jnp.where(chooses, getattr(chosen, name)[self.row], values)
+        return fields
+
+
+def max_choosers(people: int) -> int:
+    """How many people choose in one step at most."""
+    limit = max(MIN_CHOOSERS, people // PEOPLE_PER_CHOOSER)
+    return min(people, limit)
 
 
 def choosers(candidates: Bool[Array, "N"]) -> Choosers:
     """The first candidates. Others choose in the next step."""
-    people = candidates.shape[0]
-    limit = max(MIN_CHOOSERS, people // PEOPLE_PER_CHOOSER)
-    limit = min(people, limit)
+    limit = max_choosers(candidates.shape[0])
     rank = jnp.cumsum(candidates, dtype=jnp.int32) - 1  # (N,)
     chooses = candidates & (rank < limit)
     row = jnp.clip(rank, 0, max(limit - 1, 0))
@@ -465,7 +487,7 @@ def come_in(
     people: Pedestrians,
     memory: GraphMemory,
     outside: Bool[Array, "N"],
-    key: Array,
+    chance: Float[Array, "3"],
 ) -> tuple[Pedestrians, GraphMemory]:
     """People, one of whom may come in at an entrance. Arrivals are a Poisson process.
 
@@ -473,17 +495,15 @@ def come_in(
 
     Args:
         outside: who may come in.
+        chance: uniform from 0 to 1.
     """
     # Where somebody arrives in this step, if anybody does.
-    arrive_key, node_key, place_key = jax.random.split(key, 3)
+    arrival_chance, node_chance, place_chance = chance
     rate = jnp.sum(graph.entrance)  # people/s
-    chance = 1.0 - jnp.exp(-rate * scenario.time_step)
-    arrives = jax.random.uniform(arrive_key, (), float) < chance
-    share = jax.random.uniform(node_key, (1,), float)
+    arrives = arrival_chance < 1.0 - jnp.exp(-rate * scenario.time_step)
     cumulative = jnp.cumsum(graph.entrance)[None, :]  # (1, M)
-    node = first_above(cumulative, share, graph.entrance.shape[0])[0]
-    index = jax.random.randint(place_key, (), 0, graph.places.shape[1], jnp.int32)
-    place = graph.places[node, index]  # (2,) m
+    node = first_above(cumulative, node_chance[None], graph.entrance.shape[0])[0]
+    place = _some_places(graph, node[None], place_chance[None])[0, 0]  # (2,) m
 
     # The numbers of people who are never present are the last ones.
     person = jnp.arange(scenario.people, dtype=jnp.int32)
