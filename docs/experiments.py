@@ -5,7 +5,6 @@ folder of results/. The tables are written anew, the text between them stays.
 """
 
 import csv
-import functools
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -17,7 +16,6 @@ BEHAVIORS = "random", "handcrafted", "graph"
 SITUATIONS = "cross_path", "down_path", "join_group", "leave_group", "empty"
 PAPERS = "G", "R", "H", "B", "N", "E"
 """Policies with a letter: those of the paper's Figure 4, G with balanced examples, and the expert."""
-OF_COMPLETED = "time_not_moving_of_completed"
 Row = dict[str, str]
 
 
@@ -56,18 +54,17 @@ def bold(text: str, *, marked: bool) -> str:
 def shares(folder: str) -> str:
     """Table I under both presets: percent of all flags at the first V, and entropies, beside the paper's.
 
-    Figures are bold where the paper's does not fit an hour. Ratios of shares do not depend on what they are shares of.
-    "none" is percent of the examples in no situation.
+    Figures are bold where the paper's does not fit an hour. "none" is percent of the examples in no situation.
     """
     rows = []
     for behavior in BEHAVIORS:
         printed = {row["figure"]: float(row["paper"]) for row in read(folder, "hours") if row["behavior"] == behavior}
         numbers = [f"{100 * printed[name]:.1f}" for name in SITUATIONS]
-        rows.append([f"**{behavior}**, paper", *numbers, "", f"{printed['entropy']:.3f}", *ratios(printed)])
+        rows.append([f"**{behavior}**, paper", *numbers, "", f"{printed['entropy']:.3f}"])
         rows += _shares(folder, behavior, "")
         rows += _shares(f"{folder}-sean2", behavior, ", `sean2`")
     names = [name.replace("_", " ") for name in SITUATIONS]
-    return markdown(["", *names, "none", "entropy", "down / cross", "(cross + down) / empty"], rows)
+    return markdown(["", *names, "none", "entropy"], rows)
 
 
 def _shares(folder: str, behavior: str, preset: str) -> list[list[str]]:
@@ -84,15 +81,8 @@ def _shares(folder: str, behavior: str, preset: str) -> list[list[str]]:
         (entropy,) = select(entropies, **own, V=flags[0]["V"], people=mine[0]["people"])
         mixture = bold(plus_minus(entropy, "entropy", 1, 3), marked="entropy" in misfits)
         none = f"{100 * float(entropy['none']):.1f}"
-        values = {row["situation"]: float(row["share"]) for row in mine}
-        rows.append([f"`{policy}`{preset}", *cells, none, mixture, *ratios(values)])
+        rows.append([f"`{policy}`{preset}", *cells, none, mixture])
     return rows
-
-
-def ratios(shares: dict[str, float]) -> list[str]:
-    """Down path over cross path, and both over empty; "" where there is none below."""
-    cross, down, empty = (shares[name] for name in ("cross_path", "down_path", "empty"))
-    return [f"{above / below:.2f}" if below else "" for above, below in ((down, cross), (cross + down, empty))]
 
 
 def orderings(folder: str) -> str:
@@ -109,9 +99,9 @@ def orderings(folder: str) -> str:
             for policy in policies
         ]
         (row, *_) = select(first, ordering=name)
-        rows.append([name, row["source"], row["statement"], *cells])
+        rows.append([name, row["statement"], *cells])
     names = [f"`{policy}`{preset}" for preset in ("", ", `sean2`") for policy in policies]
-    return markdown(["", "source", "ordering of the paper", *names], rows)
+    return markdown(["", "ordering of the paper", *names], rows)
 
 
 def select(rows: list[Row], **values: str) -> list[Row]:
@@ -124,7 +114,7 @@ def speeds(folder: str) -> str:
     shares, entropies = read(folder, "shares"), read(folder, "entropies")
     first, every = shares[0], list(dict.fromkeys(row["V"] for row in shares))
     rows = []
-    for behavior in BEHAVIORS:
+    for behavior in ("random", "graph"):
         own = next(row for row in shares if row["behavior"] == behavior)
         mine = {name: own[name] for name in ("policy", "behavior", "people")}
         cross = [select(shares, **mine, V=v, counting="examples", situation="cross_path")[0]["share"] for v in every]
@@ -135,43 +125,34 @@ def speeds(folder: str) -> str:
 
 
 def crowds(folder: str) -> str:
-    """Shares of examples and entropy of the first policy by the number of people, at the first V."""
-    shares, entropies = read(folder, "shares"), read(folder, "entropies")
-    first = {"policy": shares[0]["policy"], "V": shares[0]["V"]}
-    people = sorted({int(row["people"]) for row in select(shares, **first, behavior="graph")})
+    """Entropy of the first policy by the number of people, at the first V."""
+    entropies = read(folder, "entropies")
+    first = {"policy": entropies[0]["policy"], "V": entropies[0]["V"]}
+    people = sorted({int(row["people"]) for row in select(entropies, **first, behavior="graph")})
     rows = []
     for behavior in ("random", "graph"):
-        for situation in SITUATIONS if behavior == "graph" else ("cross_path", "down_path", "empty"):
-            mine = {**first, "behavior": behavior, "counting": "examples", "situation": situation}
-            cells = [f"{100 * float(select(shares, **mine, people=str(n))[0]['share']):.1f}" for n in people]
-            rows.append([f"{situation.replace('_', ' ')}, {behavior}, %", *cells])
         values = [select(entropies, **first, behavior=behavior, people=str(n))[0]["entropy"] for n in people]
         rows.append([f"entropy, {behavior}", *(f"{float(value):.3f}" for value in values)])
     return markdown([f"people (`{first['policy']}`)", *map(str, people)], rows)
 
 
-def driven(measure: str, folder: str) -> str:
-    """A measure of Figure 4: policies by behaviors, and their mean, under both presets; completed tasks in percent.
-
-    Times of completed episodes are of the policies with a letter only.
-    """
-    digits = 1 if measure == "completed" else 2
-    both = [read(each, "figure4") for each in presets(folder)]
-    names = [row["policy"] for row in select(both[0], measure="completed", behavior="mean")]
+def driven(folder: str) -> str:
+    """Figure 4 under both presets: means over the behaviors of people."""
+    both = [select(read(each, "figure4"), behavior="mean") for each in presets(folder)]
     rows = []
-    for policy in names if measure != OF_COMPLETED else PAPERS:
+    for policy in dict.fromkeys(row["policy"] for row in both[0]):
         if "-" in policy:
             continue
-        texts = []
-        for every in both:
-            cells = [select(every, policy=policy, behavior=name, measure=measure)[0] for name in BEHAVIORS]
-            mean = select(every, policy=policy, behavior="mean", measure=measure)
-            middle = sum(float(row["mean"]) for row in cells) / len(BEHAVIORS)
-            texts += [plus_minus(row, "mean", 1, digits) for row in cells]
-            texts.append(plus_minus(mean[0], "mean", 1, digits) if mean else f"{middle:.{digits}f}")
+        cells = [select(every, policy=policy, measure=name)[0] for every in both for name in MEASURES]
+        texts = [plus_minus(cell, "mean", 1, digits) for cell, digits in zip(cells, (1, 2, 2) * 2, strict=True)]
         rows.append([policy if policy in PAPERS else f"`{policy}`", *texts])
-    columns = [*BEHAVIORS, "mean"]
-    return markdown(["", *columns, *(f"{name}, `sean2`" for name in columns)], rows)
+    return markdown(["", *under_presets()], rows)
+
+
+def under_presets() -> list[str]:
+    """Columns of the measures of Figure 4, by default and under SEAN's conditions."""
+    titles = [title for title, *_ in MEASURES.values()]
+    return [*titles, *(f"{title}, `sean2`" for title in titles)]
 
 
 def interval(row: Row, name: str, digits: int = 2) -> str:
@@ -179,26 +160,18 @@ def interval(row: Row, name: str, digits: int = 2) -> str:
     return "{} [{}, {}]".format(*(f"{float(row[each]):.{digits}f}" for each in (name, "low", "high")))
 
 
-def differences(rows: Iterable[str], cell: Callable[[str, str, str], str], folder: str) -> str:
-    """A row for each pair, a column for each measure under each preset."""
-    lines = []
-    for row in rows:
-        lines.append([row, *(cell(each, row, name) for each in presets(folder) for name in MEASURES)])
-    titles = [title for title, *_ in MEASURES.values()]
-    return markdown(["", *titles, *(f"{title}, `sean2`" for title in titles)], lines)
-
-
 def contrasts(folder: str) -> str:
-    """Differences of the paper's policies over the three scenarios; bold where they are certain."""
-    every = {each: [row for row in read(each, "contrasts") if row["policy"] in PAPERS] for each in presets(folder)}
-
-    def cell(each: str, pair: str, measure: str) -> str:
-        policy, other = pair.split(" - ")
-        (row,) = select(every[each], policy=policy, other=other, measure=measure)
-        return bold(interval(row, "difference"), marked=float(row["holm"]) < 0.05)
-
-    pairs = dict.fromkeys(f"{row['policy']} - {row['other']}" for row in every[folder])
-    return differences(pairs, cell, folder)
+    """Differences of G from R and H over the three scenarios; bold where they are certain."""
+    every = {each: read(each, "contrasts") for each in presets(folder)}
+    rows = []
+    for other in "RH":
+        cells = []
+        for each in presets(folder):
+            for measure in MEASURES:
+                (row,) = select(every[each], policy="G", other=other, measure=measure)
+                cells.append(bold(interval(row, "difference"), marked=float(row["holm"]) < 0.05))
+        rows.append([f"G - {other}", *cells])
+    return markdown(["", *under_presets()], rows)
 
 
 def claims(folder: str) -> str:
@@ -211,44 +184,8 @@ def claims(folder: str) -> str:
             share = float(row["share_of_resamples"])
             sure = "" if share >= 0.975 or share <= 0.025 else "perhaps "
             cells += [row["ours"], f"{sure}{'yes' if row['holds'] == 'True' else 'no'}, {100 * share:.4g} %"]
-        row = pair[0]
-        source = "ours" if row["paper"] == "not reported" else "paper"
-        limit = re.search(r"by half|within 5 %", row["statement"])
-        source += f', "{limit[0]}" ours' if limit else ""
-        rows.append([row["statement"], source, row["paper"], *cells])
-    return markdown(["statement", "whose", "paper", "default", "holds", "`sean2`", "holds"], rows)
-
-
-def switches(folder: str) -> str:
-    """The ablation: the share of resamples, in percent, in which each ordering holds under each world's conditions.
-
-    Orderings with the same share in all worlds have no column.
-    """
-    every = select(read(folder, "orderings"), counting="flags")
-    every = select(every, policy=every[0]["policy"])
-    names = [
-        name
-        for name in dict.fromkeys(row["ordering"] for row in every)
-        if len({row["share_of_resamples"] for row in select(every, ordering=name)}) > 1
-    ]
-    rows = []
-    for world in dict.fromkeys(row["world"] for row in every):
-        cells = {row["ordering"]: f"{100 * float(row['share_of_resamples']):.4g}" for row in select(every, world=world)}
-        rows.append([f"`{world}`", *(cells[name] for name in names)])
-    return markdown(["conditions", *names], rows)
-
-
-def verdicts(folder: str) -> str:
-    """Differences between networks of the learning curve, over the three scenarios; bold where they are certain."""
-    every = {each: read(each, "verdicts") for each in presets(folder)}
-
-    def cell(each: str, pair: str, measure: str) -> str:
-        variant, other = pair.split(" - ")
-        (row,) = select(every[each], variant=variant, other=other, measure=measure)
-        return bold(interval(row, "difference"), marked=not 0.025 < float(row["share_of_resamples"]) < 0.975)
-
-    pairs = dict.fromkeys(f"{row['variant']} - {row['other']}" for row in every[folder])
-    return differences(pairs, cell, folder)
+        rows.append([pair[0]["statement"], pair[0]["paper"], *cells])
+    return markdown(["statement", "paper", "default", "holds", "`sean2`", "holds"], rows)
 
 
 def curve(folder: str) -> str:
@@ -259,8 +196,7 @@ def curve(folder: str) -> str:
         cells = [select(every, variant=variant, measure=name)[0] for every in both for name in MEASURES]
         texts = [plus_minus(cell, "mean", 1, digits) for cell, digits in zip(cells, (1, 2, 2) * 2, strict=True)]
         rows.append([f"`{variant}`", *texts])
-    titles = [title for title, *_ in MEASURES.values()]
-    return markdown(["demonstrations", *titles, *(f"{title}, `sean2`" for title in titles)], rows)
+    return markdown(["demonstrations", *under_presets()], rows)
 
 
 def more(folder: str) -> str:
@@ -310,13 +246,11 @@ def stacks(folder: str) -> str:
         return f"{middle} [{low}, {high}]"
 
     for measure, (title, *_) in MEASURES.items():
-        for behavior in ("graph", "random", "handcrafted", "mean"):
-            place = {"behavior": behavior, "measure": measure}
-            own = [select(cells, policy=name, **place)[0] for name in ("real", "N", "move_base")]
-            gaps = [select(contrasts, other=name, **place)[0] for name in ("N", "move_base")]
-            texts = [bold(text(gap, "difference", "+"), marked=float(gap["holm"]) < 0.05) for gap in gaps]
-            name = f"**{title}**, {behavior}" if behavior == "graph" else behavior
-            rows.append([name, *(text(row, "mean") for row in own), *texts])
+        place = {"behavior": "mean", "measure": measure}
+        own = [select(cells, policy=name, **place)[0] for name in ("real", "N", "move_base")]
+        gaps = [select(contrasts, other=name, **place)[0] for name in ("N", "move_base")]
+        texts = [bold(text(gap, "difference", "+"), marked=float(gap["holm"]) < 0.05) for gap in gaps]
+        rows.append([title, *(text(row, "mean") for row in own), *texts])
     head = ["", "real move_base", "N", "`move_base`", "real less N", "real less `move_base`"]
     return markdown(head, rows)
 
@@ -326,15 +260,10 @@ TABLES: dict[str, Callable[[str], str]] = {
     "orderings": orderings,
     "speeds": speeds,
     "crowds": crowds,
-    "completed": functools.partial(driven, "completed"),
-    "time_not_moving": functools.partial(driven, "time_not_moving"),
-    "of_completed": functools.partial(driven, OF_COMPLETED),
-    "violations": functools.partial(driven, "violations"),
+    "driven": driven,
     "contrasts": contrasts,
     "claims": claims,
-    "switches": switches,
     "curve": curve,
-    "verdicts": verdicts,
     "more": more,
     "ranking": ranking,
     "stacks": stacks,
