@@ -215,7 +215,7 @@ Routing = Annotated[
     Literal["trips", "whole", "edge"],
     Field(
         description="trips: people have errands at their goals, come in and leave at entrances and walk in curves; "
-        "whole: they keep a route to their goal; edge: they choose again at each node, as in SEAN 2.0's code."
+        "whole: they walk from goal to goal; edge: they choose again at each node, as in SEAN 2.0's code."
     ),
 ]
 WalkingGroups = Annotated[

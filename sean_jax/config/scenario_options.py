@@ -58,7 +58,7 @@ class GraphBehavior(Component):
     """People walk, gather and disperse on the environment's behavior graph."""
 
     kind: Literal["graph"] = "graph"
-    routing: option_types.Routing = "whole"
+    routing: option_types.Routing = "trips"
     group_membership: Literal["turnover", "permanent"] = "turnover"
     """turnover: people join and leave groups; permanent: members stay in their group, as in SEAN 2.0's code."""
     congestion_cost: option_types.Congestion = 0.0

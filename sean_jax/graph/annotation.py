@@ -24,7 +24,6 @@ from sean_jax.io import cache, files
 NODE_CLEARANCE = 0.3  # m, from a node's centre to obstacles and to the floor's edge
 Factor = Annotated[float, pydantic.Field(ge=1e-3, le=1e3)]  # by which the length of an edge is multiplied
 Rate = Annotated[float, pydantic.Field(ge=0, le=100)]  # people/s
-VISIT = (60.0, 240.0)  # s, in a group, on a trip
 ERRAND = (4.0, 30.0)  # s, at a waypoint, on a trip
 ROOMY = 0.9  # m, radius of a waypoint's disc, above which there is room for an errand
 RATE = 1.0  # people/s, at an entrance
@@ -51,7 +50,7 @@ class Node(pydantic.BaseModel):
     weight: RelativeChance | None = None  # chance with which a waypoint is a goal, relative to the others; None: 1
     capacity: Annotated[int, pydantic.Field(ge=2, le=32)] | None = None  # people, of a group
     stay: tuple[Duration, Duration] | None = None  # s, minimum and maximum, of a group
-    visit: tuple[Duration, Duration] | None = None  # s, the same on trips; None: ``VISIT``
+    visit: tuple[Duration, Duration] | None = None  # s, the same on trips; None: ``stay``
     errand: tuple[Duration, Duration] | None = None  # s, minimum and maximum, at a waypoint on trips; None: ``ERRAND``
     entrance: bool | Rate = False  # people/s who come in here on trips, and whether people leave here; True: ``RATE``
     id: Annotated[int, pydantic.Field(ge=-(2**31), lt=2**31)] | None = None  # number in the source graph
@@ -68,7 +67,7 @@ class Edge(pydantic.BaseModel):
 
 
 class Trips(pydantic.BaseModel):
-    """Further nodes and edges, on which people walk with ``routing="trips"`` alone."""
+    """Further nodes and edges, on which people walk on trips alone."""
 
     model_config = STRICT
 
@@ -124,7 +123,7 @@ def read_graph(path: Path | str, environment: Environment, trips: bool = False) 
     """The graph of a ``graph.yaml``.
 
     Args:
-        trips: with the nodes and edges on which people walk with ``routing="trips"`` alone.
+        trips: with the nodes and edges on which people walk on trips alone.
 
     Raises:
         FileError: lists all mistakes of the file, with line, key and cure.
@@ -159,7 +158,7 @@ def build_graph(annotation: Annotation, environment: Environment | None, seed: i
         is_group=is_group,
         capacity=capacity,
         stay=np.array([node.stay or (0.0, 0.0) for node in nodes], float),
-        visit=np.array([_visit(node) for node in nodes], float),
+        visit=np.array([node.visit or node.stay or (0.0, 0.0) for node in nodes], float),
         errand=np.array([_errand(node) for node in nodes], float),
         entrance=np.array([_entrance(node) for node in nodes], float),
         spawn=np.array([node.spawn for node in nodes], float),
@@ -179,13 +178,6 @@ def build_graph(annotation: Annotation, environment: Environment | None, seed: i
 
 def _weight(node: Node) -> float:
     return 1.0 if node.weight is None else node.weight
-
-
-def _visit(node: Node) -> tuple[float, float]:
-    """Limits [s] of the time in a group on trips; 0 at a waypoint."""
-    if node.kind == "waypoint":
-        return 0.0, 0.0
-    return node.visit or VISIT
 
 
 def _entrance(node: Node) -> float:

@@ -37,6 +37,7 @@ NEGLIGIBLE = 1e-4  # m/s2, of a push
 SHORTEST = 1e-3  # m, of a ramp or a width that is divided by; its tenth power is still a float
 LEAST_GAP = 0.01  # m: a nearer person limits the speed as one at that gap
 SLOW = 0.1  # m/s, of the preferred speed by which the share of a desired speed is divided
+RIGHT_OF = 0.05  # m, to the left of the middle of a robot behind, where people step to the right as to the left
 SOFTENING = 0.01  # m2: the direction of a companion fades out below a distance of 0.1 m
 
 
@@ -633,19 +634,22 @@ class RobotRepulsion:
     """All pair terms between each person and the robot [45]. Without this term people do not notice the robot.
 
     A factor f of the repulsion A exp(-b / B) is drawn for each person and acts while the robot moves. It equals a
-    distance of B ln(f), which is ``Pedestrians.robot_distance``.
+    distance of B ln(f), which is ``Pedestrians.robot_distance``. With ``aside`` a robot that follows does not drive
+    people on: they step out of its way.
     """
 
     limits: ClassVar[dict[str, tuple[float, float]]] = {
         "factor_min": (1e-6, 1e6),
         "factor_max": (1e-6, 1e6),
         "ramp": (0.0, 100.0),
+        "aside": (0.0, 1.0),
     }
 
     factor_min: Float[Array, ""]  # 1, of the repulsion by a moving robot, drawn uniformly per person ...
     factor_max: Float[Array, ""]  # 1, ... up to here
     moving_speed: Float[Array, ""]  # m/s, a slower robot is avoided like a person
     ramp: Float[Array, ""]  # m/s around it over which a robot becomes a moving robot; 0: a step
+    aside: Float[Array, ""] | None = None  # 1, share of a push from behind that turns to the side
 
     def person(self, crowd: Crowd) -> Force | None:
         """The push (N,) [m/s2] of the robot on each person; None without a robot or pair terms."""
@@ -655,17 +659,43 @@ class RobotRepulsion:
         if not terms:
             return None
         force = self._over_people(crowd, partial(sum_pair_terms, terms))
-        if factor is None or force is None:
+        if force is None or (factor is None and self.aside is None):
             return force
 
-        # Whoever takes no notice of the robot still feels its body.
-        fx, fy = force
+        # Whoever takes no notice of the robot, or steps aside, still feels its body.
         touch = 0.0, 0.0
         if contact is not None:
             touch = self._over_people(crowd, contact.pair)
         touch_x, touch_y = touch
-        fx = factor * fx + (1.0 - factor) * touch_x
-        fy = factor * fy + (1.0 - factor) * touch_y
+        fx = force[0] - touch_x
+        fy = force[1] - touch_y
+        if self.aside is not None:
+            fx, fy = self._turn_aside(crowd, fx, fy)
+        if factor is not None:
+            fx = factor * fx
+            fy = factor * fy
+        return fx + touch_x, fy + touch_y
+
+    def _turn_aside(self, crowd: Crowd, fx: Array, fy: Array) -> Force:
+        """The push (N,) [m/s2] of the robot, whose part that drives people on is turned to the side."""
+        assert crowd.robot is not None and self.aside is not None
+        x, y = components(crowd.people.position)
+        dx = x - crowd.robot.position[0]
+        dy = y - crowd.robot.position[1]
+        look_x = crowd.look_x
+        look_y = crowd.look_y
+
+        # The more a robot is behind, the more of its push turns.
+        way_x, way_y = unit(dx, dy)
+        behind = jnp.maximum(way_x * look_x + way_y * look_y, 0.0)
+        forward = jnp.maximum(fx * look_x + fy * look_y, 0.0)
+        turned = self.aside * behind * forward
+
+        # To the side on which a person is already, and to the right before the middle of the robot.
+        left = look_x * dy - look_y * dx - RIGHT_OF  # m
+        side = left / jnp.sqrt(left * left + RIGHT_OF * RIGHT_OF)
+        fx = fx - turned * (look_x + side * look_y)
+        fy = fy - turned * (look_y - side * look_x)
         return fx, fy
 
     def gathered(self, crowd: Crowd) -> tuple[tuple[Array, ...], ...] | None:

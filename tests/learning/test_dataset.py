@@ -202,7 +202,7 @@ def test_other_options_are_refused(data):
         ({"people": 5}, "was begun with --people 4, not 5"),
         ({"seed": 4}, "was begun with --seed 3, not 4"),
         ({"walking_groups": (0.5, 0.0)}, "--walking-groups 0 0, not graph .* --walking-groups 0.5 0;"),
-        ({"routing": "edge"}, "was begun with --behavior graph --routing whole .*, not graph --routing edge "),
+        ({"routing": "edge"}, "was begun with --behavior graph --routing trips .*, not graph --routing edge "),
         ({"batch": 4}, "was begun with --batch 8, not 4"),
         ({"hours": 0.01}, "was begun with --hours 0.05, not 0.01"),
     ):

@@ -190,7 +190,7 @@ def test_people_of_demonstrations_are_those_asked_for():
     asked = CollectConfig(environment="lab", dynamics="twin", people=4, behavior=given)
     behavior = streams(asked)["join_group"].behavior
     assert (np.asarray(behavior.companions) >= 0).sum() == 2 and float(behavior.data.congestion_cost) == 10.0
-    usual = asked.replace(behavior=given.replace(routing="whole"))
+    usual = asked.replace(behavior=given.replace(routing="trips"))
     assert behavior.direct is not streams(usual)["join_group"].behavior.direct
     words = flags.command("collect", asked)
     assert "--walking-groups 0.5 0 " in words and "--routing edge" in words and "--congestion-cost 10" in words

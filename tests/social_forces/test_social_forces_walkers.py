@@ -9,6 +9,7 @@ import pytest
 
 from sean_jax import social_forces
 from sean_jax.core.data_types import Robot
+from sean_jax.social_forces import Noise
 from support import walkers
 from support.quick import quick
 
@@ -122,3 +123,30 @@ def test_friction_slows_who_slides_past_another():
         speed.append(float(after.velocity[0, 0]))
     assert speed[0] == pytest.approx(1.0, abs=1e-5)
     assert speed[1] == pytest.approx(1.0 - 0.001 * 3000 * 0.02 * 2.0, abs=1e-4)
+
+
+def test_a_robot_that_follows_does_not_drive_people_on():
+    """They step out of its way, at the speed at which they want to walk."""
+    one = walkers.walkers(jnp.array([[0.0, 0.0]]), jnp.array([[1.2, 0.0]]), 0.3)
+
+    @jax.jit
+    @functools.partial(jax.vmap, in_axes=(None, 0, 0))
+    def follow(parameters, gap, offset):
+        def one_step(people, _):
+            place = jnp.stack([people.position[0, 0] - gap, offset])
+            robot = Robot(place, jnp.array([1.0, 0.0]), jnp.float32(1.2), jnp.float32(0.0), ())
+            people = social_forces.integrate(parameters, people, None, None, robot, 0.05, 0.16)
+            return people, (people.position[0], people.velocity[0, 0])
+
+        return jax.lax.scan(one_step, one, length=60)[1]
+
+    parameters = social_forces.build(
+        [term for term in social_forces.preset("calibrated") if not isinstance(term, Noise)]
+    )
+    gap = jnp.array([0.45, 0.45, 0.45, 0.6, 1.0])
+    offset = jnp.array([0.0, 0.2, -0.2, 0.0, 0.0])
+    driven = follow(parameters.tree_replace({"robot_repulsion.aside": None}), gap, offset)
+    place, speed = (np.asarray(rows) for rows in follow(parameters, gap, offset))
+    assert np.asarray(driven[1])[:, -1].max() > 1.15 * 1.2 and speed[:, -1].max() < 1.02 * 1.2
+    side = place[:, -1, 1]
+    assert (side[[0, 1, 3]] < -0.1).all() and side[2] > 0.1 and np.abs(side).max() < 1.5

@@ -184,6 +184,16 @@ def stands(group, desired):
     return (np.asarray(group) >= 0) & (length(desired) < 0.5)
 
 
+def turned_aside(push, d, look, c):
+    """A push (2,) of a robot at -d (2,), whose part that drives people on leads to the side where they are."""
+    if c["aside"] is None:
+        return push
+    left = np.array([-look[1], look[0]])
+    offset = d @ left - 0.05
+    driven = c["aside"] * max(d @ look / length(d), 0.0) * max(push @ look, 0.0)
+    return push - driven * look + driven * offset / np.hypot(offset, 0.05) * left
+
+
 def by_robot(i, x, v, look, evade, extra, standing, robot, p):
     """Push (2,) of a robot (position, velocity, radius), and its parts in the sums of headway and of evasion."""
     place, motion, radius = robot
@@ -194,9 +204,10 @@ def by_robot(i, x, v, look, evade, extra, standing, robot, p):
         moving = float(length(motion) > c["moving_speed"])
     factor = np.exp(moving * extra / p["repulsion"]["range"])
     push = repulsion(d, motion, v[i], radii, p)
-    force = factor * sight(push, d, look, p) * push + contact(d, motion, v[i], radii, p)
+    force = factor * sight(push, d, look, p) * push
     if "sidestep" in p and not standing:
         force = force + sidestep(d, motion, v[i], look, p) * (factor if p["sidestep"]["scaled_by_robot"] else 1.0)
+    force = turned_aside(force, d, look, c) + contact(d, motion, v[i], radii, p)
     limits = [limit(d, motion, look, radii, p)] if "headway" in p else []
     if "evasion" not in p:
         return force, limits, 0.0

@@ -2,8 +2,9 @@
 
 People are first assigned to free seats of group nodes; the others go to random waypoint nodes, along the cheapest path
 over waypoints. A person at a seat stays for a random duration, and a successor is sent to arrive when it ends
-(``graph_choices``). So groups last while their members change. With ``routing="edge"`` people choose at every node, as
-in SEAN 2.0's code, and with ``group_membership="permanent"`` people who start in a group stay there.
+(``graph_choices``). So groups last while their members change. People make trips, with errands at their goals
+(``trips``); with ``routing="whole"`` they walk from goal to goal, and with ``routing="edge"`` they choose at every
+node, as in SEAN 2.0's code. With ``group_membership="permanent"`` people who start in a group stay there.
 """
 
 from dataclasses import replace
@@ -73,7 +74,7 @@ def build(
     place: Place,
     people: int | None = None,
     *,
-    routing: str = "whole",
+    routing: str = "trips",
     group_membership: str = "turnover",
     congestion_cost: float = 0.0,
     temperature: float = 0.0,

@@ -443,7 +443,7 @@ def _with_groups(
 
 def _group_node(center: np.ndarray, room: float, capacity: int, generator: np.random.Generator) -> Node:
     x, y = center.tolist()
-    shorter, longer = sorted(float(generator.integers(4, 20)) for _ in range(2))
+    shorter, longer = sorted(float(generator.integers(60, 240)) for _ in range(2))
     return Node(
         kind="group",
         position=(round(x, 3), round(y, 3)),
