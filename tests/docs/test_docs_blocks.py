@@ -51,11 +51,6 @@ page = Path(sean_jax.__file__).parent.parent / "docs" / "sensors.md"
 rear = re.search(r"```yaml\\n(.*?)```", page.read_text(), re.S)[1].replace("mount: rear", "mount: depth")
 Path("rear.yaml").write_text(rear)
 """,
-    "docs/worlds.md": """
-from pathlib import Path
-Path("runs/floors").mkdir(parents=True)
-Path("runs/floors/episodes.csv").write_text("episode,environment,task,completed\\n0,rooms_3,join_group,True\\n")
-""",
     "docs/robots.md": """
 from pathlib import Path
 Path("envs").symlink_to(Path(sean_jax.__file__).parent.parent / "envs")
