@@ -22,6 +22,7 @@ from sean_jax.core.geometry import length, unit
 from sean_jax.graph import BehaviorGraph
 from sean_jax.people.behaviors import graph_choices
 from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above
+from sean_jax.people.behaviors.starts import follow_leaders
 from sean_jax.social_forces.forces import components
 
 CHANGE = 0.4  # m/s2, at which the velocity that people want changes
@@ -40,6 +41,7 @@ MIN_COSINE = -0.3  # between the present and the next direction, below which a p
 RECENT_ODDS = 1e-3  # of one of the last two goals, or of a waypoint without errands, relative to others
 TURN_BACK_ODDS = 1e-6  # of a goal for which a person would turn back, relative to others
 MAX_CUT = 2.5  # m before a node, where a person who turns there turns at the earliest
+MAX_GROUP = 3  # people of a walking group
 ENTRANCE_GAP = 0.6  # m, to others, of a person who comes in
 MISSED = 3.0  # m from a place that a person has passed by
 MISSED_BEHIND = 0.5  # m, at least, that this place lies behind
@@ -57,14 +59,14 @@ class Chances(NamedTuple):
     goal: Float[Array, "K"]  # of people who choose
     place: Float[Array, "K"]  # at their next node
     back: Float[Array, "K"]  # place of people who give up
-    arrival: Float[Array, "3"]  # whether a person comes, at which entrance and where there
+    arrival: Float[Array, "4"]  # whether somebody comes, who, at which entrance and where there
 
 
 def draw(key: Array, people: int) -> Chances:
     """The numbers of one step."""
     # One call, because each call is a program of its own on a GPU.
     limit = max_choosers(people)
-    numbers = jax.random.uniform(key, (people + 3 * limit + 3,), float)
+    numbers = jax.random.uniform(key, (people + 3 * limit + 4,), float)
     ends = people, people + limit, people + 2 * limit, people + 3 * limit
     return Chances(*jnp.split(numbers, ends))
 
@@ -468,7 +470,7 @@ def braking_speed(distance: Float[Array, "N"]) -> Float[Array, "N"]:
 
 
 def leave(graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory) -> Pedestrians:
-    """People, of whom those have left who are at an entrance that is their goal."""
+    """People, of whom those have left who are at an entrance that is their goal. A walking group leaves together."""
     assert memory.trip is not None
     walks_to_waypoint = (memory.hop == memory.goal) & (memory.seat < 0)
     is_there = walks_to_waypoint & (graph_choices.target_distance(people, memory) < ARRIVED)
@@ -477,6 +479,7 @@ def leave(graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory) -> Ped
     had_goal = memory.trip.visited[:, 0] >= 0
     is_entrance = graph.entrance[memory.goal] > 0.0
     leaves = is_there & had_goal & is_entrance
+    (leaves,) = follow_leaders(people.walking_group, leaves)
     velocity = jnp.where(leaves[:, None], 0.0, people.velocity)
     return replace(people, present=people.present & ~leaves, velocity=velocity)
 
@@ -487,9 +490,9 @@ def come_in(
     people: Pedestrians,
     memory: GraphMemory,
     outside: Bool[Array, "N"],
-    chance: Float[Array, "3"],
+    chance: Float[Array, "4"],
 ) -> tuple[Pedestrians, GraphMemory]:
-    """People, one of whom may come in at an entrance. Arrivals are a Poisson process.
+    """People, one of whom or one walking group may come in at an entrance. Arrivals are a Poisson process.
 
     Who finds the floor full, or somebody in the entrance, goes away.
 
@@ -498,36 +501,55 @@ def come_in(
         chance: uniform from 0 to 1.
     """
     # Where somebody arrives in this step, if anybody does.
-    arrival_chance, node_chance, place_chance = chance
+    arrival_chance, person_chance, node_chance, place_chance = chance
     rate = jnp.sum(graph.entrance)  # people/s
     arrives = arrival_chance < 1.0 - jnp.exp(-rate * scenario.time_step)
     cumulative = jnp.cumsum(graph.entrance)[None, :]  # (1, M)
     node = first_above(cumulative, node_chance[None], graph.entrance.shape[0])[0]
-    place = _some_places(graph, node[None], place_chance[None])[0, 0]  # (2,) m
+    places = _some_places(graph, node[None], place_chance[None])[0]  # (K, 2) m
 
     # The numbers of people who are never present are the last ones.
     person = jnp.arange(scenario.people, dtype=jnp.int32)
     limit = scenario.people if scenario.people_present is None else scenario.people_present
     may_come = outside & (person < limit)
 
-    # The first of these comes in, unless somebody stands in the entrance.
-    gap = people.position - place[None, :]  # (N, 2) m
+    # One of these comes in, or a walking group from its leader on, unless somebody stands in the entrance.
+    gap = people.position - places[:1]  # (N, 2) m
     is_near = people.present & (length(*components(gap)) < ENTRANCE_GAP)
     comes = arrives & (rate > 0.0) & may_come.any() & ~is_near.any()
-    is_new = comes & (person == jnp.argmax(may_come))
+    start = (person_chance * scenario.people).astype(jnp.int32)
+    turn = (person - start) % scenario.people
+    first = jnp.argmin(jnp.where(may_come, turn, scenario.people))
+    first = jnp.where(people.walking_group[first] >= 0, people.walking_group[first], first)
+    is_new = comes & (person == first)
+    place = jnp.broadcast_to(places[:1], people.position.shape)
+    if scenario.behavior.companions is not None:
+        is_companion = may_come & (people.walking_group == first)
+        is_new = is_new | (comes & is_companion)
+        place = _apart(places)[jnp.clip(person - first, 0, MAX_GROUP - 1)]
     return _place_new(people, memory, is_new, node, place)
 
 
+def _apart(places: Float[Array, "K 2"]) -> Float[Array, "3 2"]:
+    """The first place [m], and others far from it and from each other, for a walking group."""
+    chosen = [places[0]]
+    for _ in range(MAX_GROUP - 1):
+        gap = places[:, None] - jnp.stack(chosen)[None, :]  # (K, C, 2)
+        nearest = jnp.min(length(*components(gap)), axis=1)
+        chosen.append(places[jnp.argmax(nearest)])
+    return jnp.stack(chosen)
+
+
 def _place_new(
-    people: Pedestrians, memory: GraphMemory, is_new: Bool[Array, "N"], node: Int[Array, ""], place: Float[Array, "2"]
+    people: Pedestrians, memory: GraphMemory, is_new: Bool[Array, "N"], node: Int[Array, ""], place: Float[Array, "N 2"]
 ) -> tuple[Pedestrians, GraphMemory]:
-    """People, the new ones of whom stand at a place [m] of a node and have done their errand there."""
+    """People, the new ones of whom stand at places [m] of a node and have done their errand there."""
     assert memory.trip is not None
     column = is_new[:, None]
     people = replace(
         people,
         present=people.present | is_new,
-        position=jnp.where(column, place[None, :], people.position),
+        position=jnp.where(column, place, people.position),
         velocity=jnp.where(column, 0.0, people.velocity),
         desired_velocity=jnp.where(column, 0.0, people.desired_velocity),
     )
@@ -541,7 +563,7 @@ def _place_new(
         goal=jnp.where(is_new, node, memory.goal),
         hop=jnp.where(is_new, node, memory.hop),
         origin=jnp.where(is_new, node, memory.origin),
-        target=jnp.where(column, place[None, :], memory.target),
+        target=jnp.where(column, place, memory.target),
         seat=jnp.where(is_new, -1, memory.seat),
         stay=jnp.where(is_new, 0, memory.stay),
         trip=trip,

@@ -163,6 +163,24 @@ def test_who_has_left_begins_no_errand(lab):
     assert ((np.asarray(after.trip.errand) > 0) == np.asarray(present)).all()
 
 
+def test_walking_groups_come_in_and_leave_together():
+    """All members of a group are always present, or none; they come in apart, and from time to time."""
+    scenario = sean_jax.make("lab", people=6, walking_groups=(0.34, 0.5), task="random_ab_nav", dynamics="twin")
+    people, _ = jax.jit(lambda key: walk(scenario, key, 3000))(jax.random.key(0))
+    present, group = np.asarray(people.present), np.asarray(people.walking_group)[0]
+    changes = 0
+    for leader in np.unique(group[group >= 0]):
+        members = present[:, group == leader]
+        assert (members == members[:, :1]).all()
+        comes = np.flatnonzero(members[1:, 0] & ~members[:-1, 0]) + 1
+        changes += len(comes)
+        for moment in comes:
+            place = np.asarray(people.position)[moment, group == leader]
+            gaps = np.linalg.norm(place[:, None] - place, axis=-1)[~np.eye(len(place), dtype=bool)]
+            assert 0.2 < gaps.min() and gaps.max() < 1.6
+    assert changes >= 2
+
+
 def test_nobody_makes_a_trip():
     nobody = sean_jax.make("lab", behavior="graph", routing="trips", people=0, task="random_ab_nav", dynamics="twin")
     people, memory = jax.jit(lambda key: walk(nobody, key, 2))(jax.random.key(0))
