@@ -2,6 +2,7 @@
 
 import random
 import re
+import shutil
 import struct
 from importlib import import_module
 from pathlib import Path
@@ -362,8 +363,7 @@ def test_urdf_is_a_tree_at_rest(tmp_path):
 
 
 def test_the_robot_of_the_documentation(tmp_path):
-    page = ROOT / "docs" / "robots.md"
-    (tmp_path / "courier.urdf").write_text(page.read_text(encoding="utf-8").split("```xml\n")[1].split("```")[0])
+    shutil.copy(ROOT / "examples" / "courier.urdf", tmp_path)
     base = base_of(tmp_path / "courier.urdf")
     assert base.drive == "differential" and not base.body.missing and base.max_speed == pytest.approx(0.99)
     (lidar,) = [mount for mount in loaded(base, tmp_path).mounts if mount.name == "lidar"]
