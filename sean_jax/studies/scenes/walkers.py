@@ -55,6 +55,7 @@ class Walkers:
     preferred_speed: Float[Array, "N"]  # m/s
     entry_time: Float[Array, "N"]  # s, from which they enter, as soon as there is room
     reaction_time: Float[Array, "N"]  # s, from which they walk
+    turn_time: Float[Array, "N"]  # s, in which the direction that they want turns to their gate; 0: at once
     route: Int[Array, "N R"]  # indices of gates, in their order, -1 none; after the last one they vanish
     companion: Int[Array, "N 2"]  # indices of whom each walks with, -1 none
 
@@ -88,6 +89,7 @@ def walkers(
     velocity: Point = (0.0, 0.0),
     entry_time: float | Float[np.ndarray, "N"] = 0.0,
     reaction_time: float | Float[np.ndarray, "N"] = 0.0,
+    turn_time: float | Float[np.ndarray, "N"] = 0.0,
     together: bool = False,
 ) -> Walkers:
     """People of one route, who start at (N, 2) m, such as ``spread`` draws.
@@ -96,7 +98,7 @@ def walkers(
         route: indices of gates, in their order; people vanish at the last one. Without a route they stand.
         speed: preferred speed [m/s], one for all or (N,); drawn from N(1.34, 0.26) if None.
         velocity: at the start [m/s].
-        entry_time: s, one for all or (N,); likewise ``reaction_time``.
+        entry_time: s, one for all or (N,); likewise ``reaction_time`` and ``turn_time``.
         together: whether they are a walking group: each walks beside the one before and the one after, and all prefer
             the speed of the slowest.
     """
@@ -116,6 +118,7 @@ def walkers(
         preferred_speed=_broadcast(speed, number),
         entry_time=_broadcast(entry_time, number),
         reaction_time=_broadcast(reaction_time, number),
+        turn_time=_broadcast(turn_time, number),
         route=np.broadcast_to(np.asarray(route, np.int32), (number, len(route))),
         companion=companion,
     )
@@ -267,6 +270,7 @@ def _padded(people: Walkers, size: int) -> Walkers:
         preferred_speed=np.ones(more),
         entry_time=np.full(more, NEVER),
         reaction_time=np.zeros(more),
+        turn_time=np.zeros(more),
         companion=np.full((more, 2), -1, np.int32),
     )
     fields: dict[str, Any] = {}
@@ -337,15 +341,23 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
         enters = _enters(table, people, entered, time)
         position = jnp.where(enters[:, None], table.start, people.position)
         velocity = jnp.where(enters[:, None], table.velocity, people.velocity)
-        people = replace(people, present=people.present | enters, position=position, velocity=velocity)
+        wanted = jnp.where(enters[:, None], table.velocity, people.desired_velocity)
+        people = replace(
+            people,
+            present=people.present | enters,
+            position=position,
+            velocity=velocity,
+            desired_velocity=wanted,
+        )
         entered = entered | enters
 
-    # People walk straight to their gate, once they have reacted.
+    # People turn to their gate and walk straight there, once they have reacted.
     ends = _ends(plan, gate)
     to_gate = aim_at(ends, people.position) - people.position
     walks = (gate >= 0) & (time >= table.reaction_time) & people.present
     speed = jnp.where(walks, people.preferred_speed, 0.0)
     direction = jnp.stack(_unit_of(to_gate), -1)
+    direction = _turn(table, people, direction, scenario.time_step)
     velocity = direction * speed[:, None]
     people = replace(people, desired_velocity=velocity)
     return replace(state, pedestrians=people, memory=Memory(leg, gate, entered))
@@ -489,3 +501,13 @@ def _leaders(companions: Array) -> Array:
 
     lowest = jax.lax.fori_loop(0, number, spread_lowest, lowest)
     return jnp.where(lowest < number, lowest, -1)
+
+
+def _turn(table: Walkers, people: Pedestrians, direction: Float[Array, "N 2"], time_step: float) -> Array:
+    """(N, 2) the directions that people want, which turn to that of their gate in ``turn_time``; at once from rest."""
+    wanted = jnp.stack(_unit_of(people.desired_velocity), -1)
+    is_slow = (table.turn_time > 0.0) & (wanted != 0.0).any(1)
+    share = time_step / jnp.maximum(table.turn_time, time_step)
+    turned = wanted + share[:, None] * (direction - wanted)
+    turned = jnp.stack(_unit_of(turned), -1)
+    return jnp.where(is_slow[:, None], turned, direction)

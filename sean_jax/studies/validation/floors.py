@@ -1,8 +1,9 @@
-"""Checks of people on Behavior Graphs: half turns, curves, heads and standstill on the floors that users look at.
+"""Checks of people on Behavior Graphs: how they turn, where they stand and where they walk, on the floors in use.
 
 The detectors are those of ``floor_measures``, which see recorded people in the same way. No robot is on these floors.
 """
 
+import itertools
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,12 +21,13 @@ from sean_jax.simulation.making import make
 from sean_jax.simulation.scenario import NOWHERE, direct_pedestrians, move_pedestrians, reset
 from sean_jax.studies.scenes import Model
 from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, result
-from sean_jax.studies.validation.floor_measures import Liveliness, Observed, liveliness
+from sean_jax.studies.validation.floor_measures import Liveliness, Observed, liveliness, used_cells
 from sean_jax.world import generated
 
 WARM_UP = 20.0  # s, after which people are observed
 SEED = 1
 WORLD_SEED = 0
+CROWDED = 2.5  # times the people of a generated floor
 
 
 class Seen(NamedTuple):
@@ -68,23 +70,62 @@ def observe(scenario: Scenario, seconds: float, seed: int = SEED) -> tuple[Obser
 
 def shipped(context: CheckContext, environment: str, seconds: float = 120.0) -> CheckResult:
     """People on the Behavior Graph of a shipped environment."""
-    scenario = _with_model(make(environment, behavior="graph", routing="trips"), context.model)
+    scenario = _with_model(make(environment, behavior="graph"), context.model)
     seconds = seconds / 2 if context.quick else seconds
     return _result({environment: liveliness(observe(scenario, seconds)[0])})
 
 
-def worlds(context: CheckContext, families: Sequence[str], crowd: float = 1.0, seconds: float = 90.0) -> CheckResult:
-    """People on a generated floor of each family, ``crowd`` times as many as it has by default."""
+def world(context: CheckContext, family: str, seconds: float = 90.0) -> CheckResult:
+    """People on a generated floor of a family: as many as it has by default, and ``CROWDED`` times as many."""
     measured = {}
     with tempfile.TemporaryDirectory() as folder:
-        for family in context.progress(list(families)):
-            path = Path(folder) / family
-            world = generated.generate(family, WORLD_SEED)
-            generated.save(world, path)
-            people = round(crowd * world.settings.people)
-            scenario = make(str(path), behavior="graph", routing="trips", people=people)
-            measured[family] = liveliness(observe(_with_model(scenario, context.model), seconds)[0])
+        path = Path(folder) / family
+        floor = generated.generate(family, WORLD_SEED)
+        generated.save(floor, path)
+        for crowd in context.progress([1.0, CROWDED]):
+            people = round(crowd * floor.settings.people)
+            scenario = make(str(path), behavior="graph", people=people)
+            seen, _ = observe(_with_model(scenario, context.model), seconds)
+            measured[f"{family}, {people} people:"] = liveliness(seen)
     return _result(measured)
+
+
+def used(context: CheckContext, environments: Sequence[str], minutes: float = 30.0) -> CheckResult:
+    """The share of the floor between entrances on which people have walked after some time."""
+    least = PUBLISHED["floors"]["least_used"]
+    shares = {}
+    for environment in context.progress(list(environments)):
+        scenario = _with_model(make(environment, behavior="graph"), context.model)
+        seen, _ = observe(scenario, 60.0 * minutes)
+        reachable = cells_between_entrances(scenario)
+        shares[environment] = len(used_cells(seen) & reachable) / len(reachable)
+    text = ", ".join(f"{environment} {share:.0%}" for environment, share in shares.items())
+    return result(min(shares.values()) >= least, text, f"{least:.0%} or more", numbers=shares)
+
+
+def cells_between_entrances(scenario: Scenario, walks: int = 40) -> set[tuple[int, int]]:
+    """Cells of 1 m on the cheapest ways between entrances, over random places of the nodes on the way."""
+    graph = jax.tree.map(np.asarray, scenario.behavior.data.graph)
+    entrances = np.flatnonzero(graph.entrance > 0.0)
+    generator = np.random.default_rng(0)
+    points = []
+    for begin, end in itertools.permutations(entrances, 2):
+        nodes = [begin]
+        while nodes[-1] != end:
+            nodes.append(graph.next_hop[nodes[-1], end])
+        for _ in range(walks):
+            column = generator.integers(graph.places.shape[1], size=len(nodes))
+            points.append(_along(graph.places[nodes, column]))
+    cells = np.floor(np.concatenate(points)).astype(int)
+    return set(map(tuple, np.unique(cells, axis=0).tolist()))
+
+
+def _along(corners: Float[np.ndarray, "K 2"], step: float = 0.2) -> Float[np.ndarray, "P 2"]:
+    """Points [m] on the straight lines from corner to corner, about ``step`` [m] apart."""
+    lengths = np.linalg.norm(np.diff(corners, axis=0), axis=-1)
+    at = np.concatenate([[0.0], np.cumsum(lengths)])
+    along = np.linspace(0.0, at[-1], max(2, int(at[-1] / step)))
+    return np.stack([np.interp(along, at, corners[:, axis]) for axis in range(2)], -1)
 
 
 def _with_model(scenario: Scenario, model: Model) -> Scenario:

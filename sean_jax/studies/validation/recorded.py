@@ -23,12 +23,14 @@ from sean_jax.core.data_types import Pedestrians, Scenario, State
 from sean_jax.people.recordings import Tracks
 from sean_jax.people.recordings.reading import read
 from sean_jax.studies.prediction import HABITS, evaluate, evaluate_samples, read_windows
-from sean_jax.studies.scenes import Scene, model
+from sean_jax.studies.scenes import model
 from sean_jax.studies.validation.checks import CheckContext, CheckResult, Skipped, result
 from sean_jax.studies.validation.measures import first_and_last
 from sean_jax.studies.validation.streets import STRIDE, TIME_STEP, Street, walked_again, windows_by_recording
 
 OBSERVED = 5  # moments (2 s) of each person that are known: their mean speed is preferred, and they are not counted
+SPEED_SHARE = 0.9  # of the difference of a person's speed in these 2 s from the usual one, that lasts
+TURN_TIME = 1.1  # s, in which the direction that people want turns to their goal; both by ``benchmarks/intent.py``
 SAMPLES = 20
 CLIP_RATE = 12.5  # frames per second of a clip
 TOUCH = 0.5  # m, between centers: nearer people collide [C24]
@@ -195,10 +197,12 @@ def closed_loop(context: CheckContext) -> CheckResult:
     Raises:
         Skipped: there are no recordings.
     """
-    recordings = windows_by_recording(context)
-    scenes = {name: [again(street) for street in windows] for name, windows in recordings.items()}
-    moments = {name: [counted(street) for street in windows] for name, windows in recordings.items()}
-    return _walk_again(context, recordings, scenes, moments)
+    recordings = {}
+    moments = {}
+    for name, windows in windows_by_recording(context).items():
+        recordings[name] = [with_first_speeds(street) for street in windows]
+        moments[name] = [counted(street) for street in windows]
+    return _walk_again(context, recordings, moments)
 
 
 def clips(context: CheckContext) -> CheckResult:
@@ -211,9 +215,8 @@ def clips(context: CheckContext) -> CheckResult:
     if not paths:
         raise Skipped("no clips in grand_central; give a folder with grand_central/gc_2104-2164.csv with --data.")
     recordings = {path.stem: [clip(path)] for path in paths}
-    scenes = {name: [walked_again(street) for street in streets] for name, streets in recordings.items()}
     moments = {name: [street.present for street in streets] for name, streets in recordings.items()}
-    return _walk_again(context, recordings, scenes, moments)
+    return _walk_again(context, recordings, moments)
 
 
 def clip(path: Path) -> Street:
@@ -255,16 +258,22 @@ def clip(path: Path) -> Street:
 def _walk_again(
     context: CheckContext,
     recordings: dict[str, list[Street]],
-    scenes: dict[str, list[Scene]],
     moments_that_count: dict[str, list[np.ndarray]],
 ) -> CheckResult:
-    """The errors of scenes by name, each with the recorded street and the people and moments (T, N) that count."""
+    """The errors of streets by name that are walked again, with the people and moments (T, N) that count.
+
+    Constant velocity, the mark, keeps the speed of a person's first 2 s, and turns to the goal at once.
+    """
     average = replace(context, model=replace(context.model, move=Average(context.model.move)))
     straight = replace(context, model=model("constant_velocity"))
-    every_scene = [scene for several in scenes.values() for scene in several]
-    average_tracks = iter(average.simulate(every_scene))
-    drawn_tracks = iter(context.simulate(every_scene))
-    straight_tracks = iter(straight.simulate(every_scene))
+    scenes = []
+    straight_scenes = []
+    for windows in recordings.values():
+        scenes += [walked_again(street, TURN_TIME) for street in with_intended_speeds(windows)]
+        straight_scenes += [walked_again(street) for street in windows]
+    average_tracks = iter(average.simulate(scenes))
+    drawn_tracks = iter(context.simulate(scenes))
+    straight_tracks = iter(straight.simulate(straight_scenes))
 
     measured = {}
     straight_errors = {}
@@ -323,14 +332,20 @@ def prediction_samples(context: CheckContext) -> CheckResult:
     return result(better, "; ".join(words), "the best sample better than the average person", numbers=numbers)
 
 
-def again(street: Street) -> Scene:
-    """The scene of a street whose people prefer the mean speed of their first 2 s, as [C24] has it."""
+def with_first_speeds(street: Street) -> Street:
+    """The street, with the mean speed of everybody's first 2 s, which people prefer in [C24]."""
     speed = np.zeros(street.present.shape[1])
     for person, present in enumerate(street.present.T):
         observed = street.position[present, person][: OBSERVED + 1]
         step = np.linalg.norm(np.diff(observed, axis=0), axis=-1)
         speed[person] = step.mean() / TIME_STEP
-    return walked_again(replace(street, speed=speed))
+    return replace(street, speed=speed)
+
+
+def with_intended_speeds(windows: list[Street]) -> list[Street]:
+    """The windows of one recording, whose people prefer a speed between that of their first 2 s and the usual one."""
+    usual = np.median(np.concatenate([street.speed for street in windows]))
+    return [replace(street, speed=usual + SPEED_SHARE * (street.speed - usual)) for street in windows]
 
 
 def counted(street: Street) -> Bool[np.ndarray, "T N"]:

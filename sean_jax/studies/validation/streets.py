@@ -117,8 +117,12 @@ def streets(path: str | Path) -> list[Street]:
     return windows
 
 
-def walked_again(street: Street) -> Scene:
-    """The scene in which people of a window enter when and where they did, and walk to where they left."""
+def walked_again(street: Street, turn_time: float = 0.0) -> Scene:
+    """The scene in which people of a window enter when and where they did, and walk to where they left.
+
+    Args:
+        turn_time: s, in which the direction that they want turns to there.
+    """
     # Only ends are given: what is between them has to come from the model and can be compared.
     people = np.arange(street.present.shape[1])
     first = street.present.argmax(0)  # (N,)
@@ -133,7 +137,13 @@ def walked_again(street: Street) -> Scene:
     crowd = []
     gates = []
     for k in people:
-        person = walkers(start[k : k + 1], route=(k,), speed=street.speed[k], velocity=tuple(velocity[k]))
+        person = walkers(
+            start[k : k + 1],
+            route=(k,),
+            speed=street.speed[k],
+            velocity=tuple(velocity[k]),
+            turn_time=turn_time,
+        )
         crowd.append(person)
 
         # The normal to the left of (x, y) is (-y, x); the other end is opposite to it.

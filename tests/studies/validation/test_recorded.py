@@ -10,7 +10,7 @@ import pytest
 import support.tracks
 from sean_jax.people.recordings import Tracks
 from sean_jax.studies.scenes import Gate, Scene, model, simulate, walkers
-from sean_jax.studies.validation import recorded
+from sean_jax.studies.validation import recorded, streets
 from sean_jax.studies.validation.checks import CheckContext, Skipped
 from sean_jax.studies.validation.streets import NO_WALLS
 from support.tracks import straight
@@ -85,7 +85,37 @@ def test_who_has_left_stays_where_they_left():
     assert recorded.positions(tracks, 5)[:, 0, 0].tolist() == [0.0, 4.0, 8.0, 8.0, 8.0]
 
 
-def test_straight_walkers_are_where_they_were(street):
+@pytest.fixture
+def without_intent(monkeypatch):
+    """People keep the speed of their first 2 s, and turn to their goal at once."""
+    monkeypatch.setattr(recorded, "SPEED_SHARE", 1.0)
+    monkeypatch.setattr(recorded, "TURN_TIME", 0.0)
+
+
+def test_people_come_to_walk_as_usual(street):
+    windows = [recorded.with_first_speeds(window) for window in streets.streets(street / "eth_ucy" / "made.csv")]
+    (window,) = recorded.with_intended_speeds(windows)
+    np.testing.assert_allclose(window.speed, [1.25, 1.25, 1.25 + recorded.SPEED_SHARE * 0.25], atol=1e-6)
+
+
+def test_people_turn_to_their_gate_in_some_time():
+    """From 1.2 m/s along x to a goal along y, as a loop over the steps has it."""
+    gate = (Gate((-9.0, 30.0), (9.0, 30.0)),)
+    scene = Scene(
+        NO_WALLS, walkers(np.zeros((1, 2)), route=(0,), speed=1.2, velocity=(1.2, 0.0), turn_time=1.5), gate, 4.0
+    )
+    walked = np.asarray(simulate(scene, model("constant_velocity"))[0].position)[:, 0]
+    place, direction = np.zeros(2), np.array([1.0, 0.0])
+    for moment in walked[1:]:
+        way = np.array([np.clip(place[0], -9.0, 9.0), 30.0]) - place
+        direction = direction + 0.1 / 1.5 * (way / np.hypot(*way) - direction)
+        direction = direction / np.hypot(*direction)
+        place = place + 0.12 * direction
+        np.testing.assert_allclose(moment, place, atol=0.02)
+    assert place[0] > 1.0 and direction[1] > 0.8
+
+
+def test_straight_walkers_are_where_they_were(street, without_intent):
     numbers = recorded.closed_loop(CheckContext(model(straight), quick=True, data=street)).numbers
     assert numbers["mae_made"] < 0.05 and numbers["dtw_made"] < 0.05 and numbers["mmd_made"] < 1e-3
     assert numbers["collisions_made"] == 0.0
@@ -101,7 +131,7 @@ def test_errors_of_constant_velocity_are_the_limit_in_every_scene():
         assert found.passed is passed and ("(not: hotel)" in found.reason) is not passed
 
 
-def test_constant_velocity_is_as_near_as_itself(street):
+def test_constant_velocity_is_as_near_as_itself(street, without_intent):
     found = recorded.closed_loop(CheckContext(model("constant_velocity"), quick=True, data=street))
     assert found.passed and found.numbers["mae_made"] == found.numbers["mae_constant_velocity_made"]
 
