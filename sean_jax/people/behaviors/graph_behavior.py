@@ -417,9 +417,12 @@ def _choose_trips(
     memory, gives_up = trips.wait(people, state.memory, scenario.time_step)
     onward = free | trips.passes(graph, people, memory)
 
-    # A few people choose in a step. A successor whose seat another person got is among them, now or later.
+    # A few people choose in a step. A successor whose seat another person got is among them, now or later. Members of
+    # a walking group copy the choice of their leader.
     has_lost_seat = graph.is_group[memory.goal] & (memory.seat < 0) & (memory.stay == 0)
-    candidates = (onward | gives_up | has_lost_seat) & people.present
+    person = jnp.arange(scenario.people, dtype=jnp.int32)
+    follows = (people.walking_group >= 0) & (people.walking_group != person)
+    candidates = (onward | gives_up | has_lost_seat) & people.present & ~follows
     few = trips.choosers(candidates)
     goes_on = few.exists & few.rows(onward)
     if draws is not None:
@@ -522,7 +525,10 @@ def _set_out_on_trips(
 def _way(
     tables: GraphTables, people: Pedestrians, memory: GraphMemory, seats: Seats, pace: Float[Array, "N"]
 ) -> tuple[Float[Array, "N 2"], Float[Array, "N"]]:
-    """The way [m] to the target or the next corner, and a speed [m/s], slower towards a place where a person stops."""
+    """The way [m] to the target or the next corner, and a speed [m/s], slower towards a place where a person stops.
+
+    On the way to that place people slow down at corners, too: who takes them at full speed comes off the way.
+    """
     gap = _gaps_ahead(tables, people, memory)
     distance = length(*components(gap))
 

@@ -178,7 +178,7 @@ def test_walking_groups_come_in_and_leave_together():
             place = np.asarray(people.position)[moment, group == leader]
             gaps = np.linalg.norm(place[:, None] - place, axis=-1)[~np.eye(len(place), dtype=bool)]
             assert 0.2 < gaps.min() and gaps.max() < 1.6
-    assert changes >= 2
+    assert changes >= 1
 
 
 def test_nobody_makes_a_trip():
