@@ -31,6 +31,7 @@ def gymnasium():
     return pytest.importorskip("gymnasium")
 
 
+@pytest.mark.night
 def test_gymnasium_checker_has_nothing_to_say(gymnasium):
     from gymnasium.utils.env_checker import check_env
 
@@ -51,6 +52,7 @@ def test_gymnasium_finds_it_by_name(gymnasium):
         gymnasium.make("sean/Nowhere-v0")
 
 
+@pytest.mark.night
 @pytest.mark.parametrize("mode", ["SAME_STEP", "NEXT_STEP"])
 def test_rows_are_what_gymnasium_makes_of_single_environments(gymnasium, env, mode):
     """Over the ends of episodes. Row k with seed s is the single environment with seed s + k."""
@@ -104,6 +106,7 @@ def test_wrappers_of_gymnasium_take_the_vector_environment(gymnasium):
     assert not truncated.any()
 
 
+@pytest.mark.night
 def test_equal_instances_share_compiled_programs(gymnasium):
     """Of the same name and options; those of other options have their own."""
     from sean_jax.adapters.gymnasium import SocialNavigation, VectorSocialNavigation

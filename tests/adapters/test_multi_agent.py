@@ -21,7 +21,7 @@ def env(members: Stack[Scenario]) -> TeamEnv:
     return TeamEnv(members)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_rewards_and_observations_are_of_each_robot(env: TeamEnv) -> None:
     """One robot drives and one stands; a robot moved before another one is among the people that this one observes."""
     step, state = env.jitted_step, env.jitted_reset(jax.random.key(1))

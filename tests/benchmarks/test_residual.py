@@ -59,7 +59,7 @@ def test_forces_turn_with_the_crowd_and_are_bounded(seed):
     assert (size.max(1) > 0.1).all() and size[0].max() < residual.MOST and size[1].max() < 1.5 * residual.MOST
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_gradients_of_weights_are_finite(windows):
     still = windows.at[:, :, 0].set(windows[:, :, 1])  # two at one place, and somebody who stands
     still = still.at[:, 0, 2].set(still[:, 1, 2])

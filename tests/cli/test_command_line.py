@@ -191,7 +191,7 @@ def test_run_writes_a_whole_folder(tmp_path, capsys):
         assert Image.open(tmp_path / "a" / name).n_frames > 3  # pyright: ignore[reportAttributeAccessIssue]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_batch_equals_each_episode_alone():
     tasks, drive = ("join_group", "leave_group"), POLICIES["go_to_goal"]
     scenarios = [sean_jax.make(task=task, people=8, dynamics="twin", time_limit=2.0) for task in tasks]

@@ -137,7 +137,7 @@ def test_the_scenario_is_the_one_of_its_parts():
     assert mine.robot.drive is robots.DYNAMICS["twin"] and mine.navigation.mesh_places is not None
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_run_says_what_was_filled_in(tmp_path):
     words = "--environment lab --people 2 --behavior random --time-limit 2 --episodes 2 --quiet"
     assert command_line.main(["run", "--preset", "sean2", *words.split(), "--out", str(tmp_path / "run")]) == 0

@@ -71,7 +71,7 @@ def run(folder):
     return folder / "made"
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_run_has_own_parts_in_table_csv_and_report(run):
     found = rows(run / "episodes.csv")
     assert len(found) == 3 and {row["task"] for row in found} == {"across"}
@@ -83,7 +83,7 @@ def test_a_run_has_own_parts_in_table_csv_and_report(run):
     assert "time near people" in report and "Somebody is within 1 m of the robot." in report and "crowd" in report
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_its_config_repeats_it_to_the_byte(run, capsys):
     before = (run / "episodes.csv").read_bytes()
     assert command_line.main(["run", "--config", str(run / "config.yaml"), "--trust", "--out", "again", "--quiet"]) == 0
@@ -98,7 +98,7 @@ def test_its_config_repeats_it_to_the_byte(run, capsys):
     assert told["sha256"] == retold["sha256"]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_flag_changes_a_config_and_a_changed_part_is_refused(run, capsys):
     copy = run.parent / "copy"
     shutil.copytree(run, copy)
@@ -117,7 +117,7 @@ def test_a_flag_changes_a_config_and_a_changed_part_is_refused(run, capsys):
     assert len(first) == 1 and abs(float(first[0]["path_length"]) - float(told[0]["path_length"])) < 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_demonstrations_of_an_own_policy_task_and_robot(folder):
     asked = ["collect", *SMALL, *PARTS[:4], *PARTS[-2:], "--width", "16", "--height", "12", "--hours", "0.002"]
     assert command_line.main([*asked, "--batch", "2", "--out", "data"]) == 0
@@ -126,7 +126,7 @@ def test_demonstrations_of_an_own_policy_task_and_robot(folder):
     assert data.example_count >= 7 and set(data.manifest["parts"]) == {"my_parts.py"}
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_values_are_evaluated_as_their_file_is(run, folder):
     mine = user_parts.load(config.OwnPart(kind="my_parts.py:drive"), "policy").__globals__
     scenario = sean_jax.make(
@@ -145,7 +145,7 @@ def test_values_are_evaluated_as_their_file_is(run, folder):
         read_config(folder / "values" / "config.yaml")
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_behavior_model_sensor_and_a_policy_that_remembers(folder):
     mine = user_parts.load(config.OwnPart(kind="my_parts.py:drive"), "policy").__globals__
     scenario = sean_jax.make(

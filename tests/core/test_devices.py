@@ -104,7 +104,7 @@ def starts(short):
     return jax.jit(episodes.reset_pool, static_argnums=2)(short, jax.random.key(0), 5)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_episodes_follow_one_another(short, starts):
     def record(before, after, action):
         return before.tick, after.timed_out, before.pedestrians.position, jax.random.key_data(before.streams.people)
@@ -124,7 +124,7 @@ def test_episodes_follow_one_another(short, starts):
     assert jax.tree.structure(last) == jax.tree.structure(state)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_driver_remembers_its_episode_and_no_other(short):
     """It counts the steps it drove since the episode began, in steps of its parameter."""
     counter = Policy(

@@ -242,7 +242,7 @@ def test_sean_list_shows_them(files, added, monkeypatch, capsys):
         assert line in said
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_sean_run_measures_and_reports_them(files, added, tmp_path, capsys):
     """All at once on the command line: columns of the table, of episodes.csv and of the report."""
     yard, puck = files

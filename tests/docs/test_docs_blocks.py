@@ -88,7 +88,7 @@ def blocks(page: str, *languages: str) -> list[str]:
 
 PROGRAMS = [page for page in PAGES if blocks(page, "python") and page not in ELSEWHERE]
 TRAINING = "gradients", "learning", "calibration", "inverse_graph"
-SIMULATION = "behavior_graph", "coming_from", "devices", "policies"
+SIMULATION = "behavior_graph", "coming_from", "devices", "policies", "several_robots", "worlds"
 LONG = {f"docs/{name}.md" for name in TRAINING + SIMULATION}
 """Pages whose programs are left to the night"""
 

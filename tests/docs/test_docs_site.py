@@ -122,7 +122,7 @@ def test_files_beside_the_pages_are_named_and_not_linked():
         assert hooks.name_outside(inside, "results/page.md") == inside
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_the_tutorial_runs(tmp_path):
     """All commands but those that install, with fewer episodes, and but the training, which tests of its own run."""
     text = (DOCS / "tutorial.md").read_text(encoding="utf-8").split("## 5.")[0]

@@ -155,7 +155,7 @@ def test_the_example_has_each_file_and_every_file_is_read(place):
     assert list(sets) == ["cross_path_1", "join_group_1"]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_the_example_runs(place, monkeypatch):
     (program,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.M | re.S)
     monkeypatch.chdir(place.parent)

@@ -34,7 +34,7 @@ def frames(scenario):
     return dataclasses.replace(many, people=people, present=present, active=np.ones(21, bool))
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_pictures_are_those_of_the_frames(scenario, frames, tmp_path):
     """At 4 times the pace and 5 pictures a second every 8th frame of 0.1 s is shown, and the last."""
     scene = dataclasses.replace(scenario.environment, scenery=plain_scenery(scenario.environment.obstacles))

@@ -23,6 +23,7 @@ def run(tmp_path_factory):
     return out
 
 
+@pytest.mark.night
 def test_all_five_situations_occur(run):
     shares = json.loads((run / "summary.json").read_text())["situations"]
     assert set(shares) == {"cross_path", "down_path", "join_group", "leave_group", "empty"}
@@ -43,6 +44,7 @@ def test_results_are_complete(run):
     assert len(rows) == 65 and "nan" not in "".join(rows) and "inf" not in "".join(rows)
 
 
+@pytest.mark.night
 def test_episodes_in_mjx_are_those_of_its_twin():
     """Whole episodes with restarts among people: the same ends, and the same ways to rounding."""
 

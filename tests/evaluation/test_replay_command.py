@@ -31,7 +31,7 @@ def dataset(tmp_path_factory):
     return out
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_demonstrations_are_driven_again(dataset, capsys):
     """Each second the robot is where the dataset's row was recorded, with the speed of then, led astray as then."""
     from sean_jax.learning.dataset import open_dataset
@@ -53,7 +53,7 @@ def test_demonstrations_are_driven_again(dataset, capsys):
     assert f"is none of the {4 * len(shards)} of" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_network_that_imitates_drives_where_its_demonstrations_were(dataset, tmp_path):
     from sean_jax import learning
 
@@ -71,7 +71,7 @@ def test_a_network_that_imitates_drives_where_its_demonstrations_were(dataset, t
     np.testing.assert_allclose(episode["columns"]["robot x"][:, 0], frames.position[:length, 0], atol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_episodes_of_an_evaluation_are_those_that_the_training_measured(tmp_path):
     from sean_jax.learning import reinforcement
 
@@ -133,7 +133,7 @@ def test_who_goes_around_a_periodic_scene_does_not_cross_it():
     assert frames.present[:, 0].tolist() == [True, True, False, True, True]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_an_agent_of_several_environments_is_seen_in_one_of_them(tmp_path, capsys):
     for name in ("one", "other"):
         room(tmp_path / name, (-4, -4, 4, 4), name=name)

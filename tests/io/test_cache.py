@@ -181,7 +181,7 @@ def test_the_oldest_are_removed(made, monkeypatch):
     assert not list(file.parent.iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_another_process_reads_what_this_one_made(made, hall):
     """And gets the same scenario; in double precision as well, whose tables are its own."""
     program = """

@@ -211,7 +211,7 @@ def test_a_parquet_that_is_not_what_was_saved_is_refused_in_a_sentence(tmp_path)
         load_trajectory(path)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_what_the_largest_run_of_the_docs_writes_is_read(tmp_path):
     """64 episodes of the default length, as `sean run --trajectories csv` writes them: about 400 MB."""
     config = RunConfig()

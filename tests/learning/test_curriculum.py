@@ -82,7 +82,7 @@ def pooled(env, by_regret):
     return replace(env, pool=replace(by_regret.pool, weights=jnp.zeros(SIZE).at[2].set(1.0)))
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_episodes_know_their_start(env, pooled):
     state = jax.tree.map(lambda leaf: leaf[7], pooled.pool.states)
     told = []
@@ -130,7 +130,7 @@ def test_randomized_people(env, pooled):
 # ------------------------------------------------------------------ by situation
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_situations_that_occur_are_those_of_a_rollout(env, by_situations):
     """Against ``simulate`` from one of the starts, step by step."""
     for row in (0, 5):
@@ -167,7 +167,7 @@ def test_weights_follow_the_worst_situation(env, by_situations):
     np.testing.assert_array_equal(starts, state.pool.states.start)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_chosen_situations_occur(env, by_situations):
     """Starts are drawn as often as they lead there, and new ones that lead there more come in."""
     column = int(np.asarray(curricula.occurrences(by_situations)).std(0).argmax())
@@ -206,7 +206,7 @@ def test_regret_is_the_best_return_less_the_mean(env, by_regret):
     np.testing.assert_allclose(np.asarray(state.pool.weights)[order], ranks, rtol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_starts_of_least_regret_are_replaced_by_others_like_the_best(env, by_regret):
     gaps = np.random.default_rng(1).permutation(SIZE) * 2.0
     before = _regretted(env, by_regret, gaps)

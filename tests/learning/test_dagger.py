@@ -24,7 +24,7 @@ def spin(scenario, state, key):
     return jnp.array([0.1, 0.5])
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_the_driver_drives_and_the_other_labels():
     scenario = sean_jax.make("lab", behavior="random", people=3, dynamics="twin")
     helper = sean_jax.POLICIES["go_to_goal"]
@@ -47,7 +47,7 @@ def test_the_driver_drives_and_the_other_labels():
         state = after
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_disturbed_driver_is_led_astray_and_its_own_command_is_the_label():
     scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", sensors=())
     helper = sean_jax.POLICIES["go_to_goal"]

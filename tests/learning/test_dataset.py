@@ -38,7 +38,7 @@ def data(tmp_path):
     return learning_data.write(tmp_path / "data")
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_what_was_written_is_read(made):
     again = open_dataset(made.folder)
     whole = [dataset.Episode(e.number, e.stream, e.length, e.completed) for e in again.episodes]

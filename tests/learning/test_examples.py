@@ -31,7 +31,7 @@ def batch():
     return learning_data.batches()[0]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
     """Step by step, outside of jit, from another source: in the same episodes, the same rows as those of the batch.
 
@@ -97,7 +97,7 @@ def test_an_episode_ends_when_it_is_over_and_zeros_follow(batch):
     assert (batch.lengths[unfinished] == learning_data.SECONDS).all()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_rows_at_a_higher_rate_hold_those_of_each_second(batch):
     """Of the same episodes: every tenth row is one of those, the robot drives from row to row, and zeros come after."""
     parts, camera = learning_data.setting()

@@ -139,7 +139,7 @@ def test_losses_equal_a_loop_in_numpy(recording, data):
     np.testing.assert_allclose(found.loss, found.local_plan + found.command, rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_an_interrupted_training_comes_to_the_same_bits(data, trained, tmp_path, monkeypatch):
     whole, folder = trained
     saves = []
@@ -424,7 +424,7 @@ def test_a_log_goes_on_where_the_training_does(tmp_path):
     ]  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
     """Driven step by step, in a batch, its decisions each second are those for the examples of the recording."""
     parts, camera = learning_data.setting()

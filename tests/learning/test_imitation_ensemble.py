@@ -37,7 +37,7 @@ def test_a_log_ends_before_a_line_without_a_time(tmp_path, time):
     assert read_metrics(tmp_path) == [{"epoch": 1, "time": 2.5}] and type(read_metrics(tmp_path)[0]["epoch"]) is int
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_each_learns_and_has_the_folder_of_a_training(three, data):
     states, asked = three
     for state, own in zip(states, asked, strict=True):

@@ -186,7 +186,7 @@ def say(env, network, agent, seen) -> NetworkOutput:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("recurrent", [False, True])
 def test_an_agent_sees_people_in_any_order(recurrent):
     """Also after it has seen others in the first row than in the last, so their statistics differ."""

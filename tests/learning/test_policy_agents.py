@@ -138,7 +138,7 @@ def test_the_next_command_names_the_folder():
     assert commands.run_command(Path("runs/ppo")) == "sean run --policy runs/ppo"
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_it_drives_without_the_extra(tmp_path):
     words = ["run", "--policy", "ppo", "--environment", "lab", "--people", "4", "--dynamics", "twin"]
     words += ["--episodes", "2", "--time-limit", "3", "--out", "here", "--quiet"]
@@ -146,7 +146,7 @@ def test_it_drives_without_the_extra(tmp_path):
     assert json.loads((tmp_path / "here" / "summary.json").read_text())
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("name", AGENTS)
 def test_it_completes_most_tasks(name):
     scenario = sean_jax.make("lab", people=5, task="join_group", dynamics="twin", time_limit=60.0)

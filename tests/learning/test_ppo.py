@@ -205,7 +205,7 @@ def test_a_training_has_its_files(training, request):
     assert (folder / "config.json").is_file() and (folder / "curve.png").is_file()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("method", quick(["ppo", "apg"], "ppo"))
 def test_programs_of_a_training_fit_together(method):
     """Traced, not compiled: an update gives a state like the one that it gets, and an evaluation what is logged."""
@@ -267,7 +267,7 @@ def test_the_command_after_a_training_drives_where_it_was_trained(tmp_path):
     assert plain == "sean run --policy ./mine --environment warehouse"
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_evaluations_use_the_weights_of_each_agent():
     """Two agents with the same parameters, whose rewards are k and -2 k: returns of the step in the same proportion."""
     config = options(None, sweep=["rewards.time=1,-2"], rewards=["time"], evaluation_episodes=1, time_limit=0.5)
@@ -329,7 +329,7 @@ def test_the_clip_of_one_does_not_shorten_the_steps_of_the_other(env):
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_first_episodes_end_at_different_times():
     """Each row reaches the limit of 4 s by itself, after as many steps as were left; later episodes are whole."""
     env = registry.load("Lab-Random-RandomAbNav-v0", config_overrides={"people": 0, "time_limit": 4.0})
@@ -359,7 +359,7 @@ def test_first_episodes_end_at_different_times():
     assert truncated.sum(1).max() < 10
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_the_critic_learns_alone_after_imitation(env):
     """In an update whose actor does not move; and the value of the network stays that of returns in their own unit."""
     config = options(None, observations=["goal"], rewards=["time"], epochs=1, minibatches=1)
@@ -395,7 +395,7 @@ def quiet(monkeypatch):
     monkeypatch.setattr(reinforcement, "draw_starts", lambda options, scenarios, envs: (envs, ()))
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_leaves_a_checkpoint_of_the_present_update(number, quiet, tmp_path, monkeypatch, capsys):
     """Between two evaluations; the same command goes on from there, and the exit code is that of the signal."""
@@ -433,7 +433,7 @@ def broken(line):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_callbacks_get_each_line_of_the_log(quiet, tmp_path, capsys):
     """A function of Python, and one of a file, whose content is no part of the training: it may change."""
     (tmp_path / "my.py").write_text(CALLBACKS)
@@ -461,7 +461,7 @@ def test_an_error_of_a_callback_keeps_the_checkpoints(quiet, tmp_path):
     assert [line["epoch"] for line in curve(tmp_path / "run")] == [1, 2, 3, 4, 5, 6]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_training_of_a_constant_learning_rate_goes_on_with_more_steps(quiet, tmp_path):
     for schedule in ("constant", "linear"):
         folder = tmp_path / schedule
@@ -555,7 +555,7 @@ def test_a_pretrained_agent_that_does_not_fit_is_refused_first(trained, tmp_path
     assert not (tmp_path / "next").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_stopped_training_goes_on_to_the_same_curve(learned, tmp_path, monkeypatch):
     """Stopped before and after checkpoints, it ends with the same numbers and the same agent."""
     folder = tmp_path / "run"
@@ -756,7 +756,7 @@ def several(tmp_path_factory):
 SEVERAL = dict(seeds=2, seed=3, sweep=["learning_rate=1e-3,1e-5"], critic=["people"], steps=8 * 8 * 2)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_agents_side_by_side_are_those_that_would_be_trained_alone(several, tmp_path):
     state, folder = several
     assert [agent["seed"] for agent in options(folder, **SEVERAL).agents] == [3, 4, 3, 4]
@@ -847,7 +847,7 @@ def test_analytic_gradients_are_those_of_differences():
     assert float(found) == pytest.approx(float(wanted), rel=0.05, abs=1e-4) and float(found) != 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_an_agent_begins_as_the_policy_that_it_imitates(tmp_path):
     """In a lab without people it acts as ``go_to_goal`` does, before any reward: most of its tasks are completed."""
     config = options(
@@ -862,7 +862,7 @@ def test_an_agent_begins_as_the_policy_that_it_imitates(tmp_path):
         reinforcement.build(options(tmp_path / "other", imitate="nobody"))
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_apg_trains_and_goes_on_from_ppo(learned, tmp_path):
     config = analytic(tmp_path / "apg", pretrained=learned[1], steps=8 * 8 * 3)
     state = reinforcement.train(config)
@@ -917,7 +917,7 @@ def own(tmp_path, monkeypatch):
     return parts
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_training_goes_on_with_the_same_own_files_alone(own, tmp_path):
     kept = (tmp_path / "trained" / "config.json").read_bytes()
     assert set(json.loads(kept)["parts"]) == {"mine.py", "helper.py"}
@@ -933,7 +933,7 @@ def test_a_training_goes_on_with_the_same_own_files_alone(own, tmp_path):
     assert (tmp_path / "trained" / "config.json").read_bytes() == kept and not (tmp_path / "packed").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_packed_agent_has_its_own_files_with_it(own, tmp_path, monkeypatch, capsys):
     scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=4.0)
     with pytest.raises(InputError, match="mine.py:seen is code, and trained/config.json names it, not you"):

@@ -70,7 +70,7 @@ def lie_within(space, observation):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_observations_lie_in_their_space(env, episodes):
     first, (_, seen, *_) = episodes
     space = env.observation_space
@@ -166,7 +166,7 @@ def test_counted_rewards_add_up_to_the_metrics(env, episodes):
     assert sum(np.asarray(info["rewards"][name]).sum() for name in COUNTED) > 0
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_no_metrics_change_nothing_but_the_work(env, episodes):
     """Each step of the episodes by a program with fewer operations, to rounding: XLA fuses the two differently."""
     bare = replace(env, scenario=sean_jax.make("lab", people=6, behavior="random", time_limit=LIMIT, metrics="none"))
@@ -271,7 +271,7 @@ def pooled(scenario):
 env_step = jax.jit(Env.step)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_pool_gives_its_starts(pooled, episodes):
     assert pooled.pool.weights.shape == (4,) and (np.asarray(episodes[1][0].start) == -1).all()
     state = jax.tree.map(lambda leaf: leaf[2], pooled.pool.states)
@@ -298,7 +298,7 @@ def test_randomization_is_of_the_key(scenario, pooled):
     assert np.std(tops) > 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_ends_of_ones_own(scenario):
     """A wall ends the episode when the robot has touched it, and so does a function."""
 
@@ -350,7 +350,7 @@ def test_actions_are_shares_of_the_limits(scenario):
     assert float(mdp.to_command(robot, jnp.array([-5.0, 0.0]))[0]) == pytest.approx(-0.2)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_every_term_works():
     """All terms of both dicts under jit and vmap, with finite numbers."""
     scenario = sean_jax.make("lab", people=4, dynamics="twin", sensors=["lidar"])

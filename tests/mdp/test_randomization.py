@@ -162,7 +162,7 @@ def test_limits_that_a_robot_shares_are_factors_of_the_robots_own(scenario):
     assert changed.max_reverse_speed is None
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_episodes_have_their_own_robots(scenario):
     """The command is a share of the top speed of the episode, which the robot reaches."""
     env = make_env(scenario, ["speeds"], randomization={"robot.max_speed": (0.5, 1.0), "robot.friction": (0.8, 1.2)})
@@ -279,7 +279,7 @@ def training(out, **more) -> PPOConfig:
     )  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_laws_are_environments():
     config = training(
         None, environment="lab", laws="calibrated,sean2,orca", scenarios=12, observation_delay=["people=1"]

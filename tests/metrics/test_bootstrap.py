@@ -260,7 +260,7 @@ def test_one_episode_has_an_interval_of_no_width():
     assert found == (3.5, 3.5, 3.5, 1)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_metrics_of_a_batch_of_episodes(scenario):
     """As a user has them: a dict of what ``results`` gives, vmapped over states."""
     states = programs.resets(scenario, jax.random.split(jax.random.key(0), 4))

@@ -79,7 +79,7 @@ def test_every_notebook_asserts_what_it_says():
         )
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_constants_of_a_crowd_are_recovered():
     """Notebook 5 at full size, as far as its headline."""
     (path,) = FOLDER.glob("5_*.ipynb")

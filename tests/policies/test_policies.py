@@ -131,7 +131,7 @@ def gaps(frames):
     return np.linalg.norm(np.asarray(frames.position)[:, :, None] - np.asarray(frames.people), axis=-1)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_reaches_its_goal_and_stays(driven):
     name, _, _, frames = driven
     away = np.linalg.norm(np.asarray(frames.position) - GOAL, axis=-1)
@@ -376,7 +376,7 @@ def test_each_is_documented_and_on_the_list():
             assert inspect.getdoc(function)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("name", ["expert", "sensing_expert"])
 def test_sean_run_takes_one_that_remembers(name, tmp_path, capsys):
     command = ["run", "--environment", "lab", "--policy", name, "--people", "4", "--episodes", "2", "--time-limit", "5"]

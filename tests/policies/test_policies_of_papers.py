@@ -272,7 +272,7 @@ def test_only_visible_people_matter(make, name):
     assert not np.array_equal(command(-1.98, 0.35), alone)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("name", NAMES)
 def test_tasks_in_the_lab_are_completed_without_collisions(name):
     touched = ["collision_robot_on_person", "collision_with_obstacle"]

@@ -105,7 +105,7 @@ def test_who_comes_from_outside_pushes_the_robot_as_fast_as_they_walk():
     np.testing.assert_allclose(moved, -1.3 * TIME_STEP, atol=0.003)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("dynamics", ["twin", "kinematic"])
 def test_a_crowd_on_the_robot_moves_it_no_faster_than_it_drives_or_than_those_who_touch_it_walk(dynamics):
     """Sixteen people in one heap with the robot drive one another apart, and some of them against the robot."""

@@ -341,7 +341,7 @@ def test_the_command_writes_a_robot_that_drives(tmp_path, capsys, monkeypatch):
     assert (tmp_path / "made.xml").read_text() == before
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("parts", [PAIR, PAIR + STEERED, BASE + SWIVELS], ids=["pair", "car", "swerve"])
 def test_imported_robots_drive_in_mjx_as_in_closed_form(parts, tmp_path):
     result = import_robot(write_urdf(tmp_path, parts), tmp_path / "made.xml")

@@ -315,7 +315,7 @@ def test_gradients_equal_differences_of_the_mjx_robot():
     np.testing.assert_allclose(gradients[0], differences, rtol=1e-3, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_forward_mode_equals_reverse_mode(kuri):
     """Through MJX, by the command, the start and a constant of the robot; touching somebody, and free."""
     place = leaves(world([WALL], [(0.46, 0.1)]))

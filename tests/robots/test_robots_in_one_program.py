@@ -55,7 +55,7 @@ def command(tick):
     return jnp.stack([ahead, 0.5 * jnp.sin(0.2 * tick)])
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_each_robot_moves_as_alone(lab):
     floors, states = lab
 

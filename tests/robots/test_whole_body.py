@@ -111,7 +111,7 @@ def gap(position, box):
     return np.linalg.norm(outside, axis=1) - RADIUS
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_body_moves_as_in_mujoco(tmp_path):
     commands = np.repeat([[0.5, 0.0], [0.8, 1.5], [-0.4, -1.0]], STEPS // 3, 0)
     with jax.enable_x64(True):
@@ -183,7 +183,7 @@ def test_a_body_that_falls_stays_where_it_lies(tmp_path):
     assert not moved.speed[first:].any() and not moved.turn_rate[first:].any()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_body_whose_physics_diverge_has_fallen_and_stays_finite(rover):
     robot = placed(rover)
     physics = {**robot.drive_state.physics, "qvel": robot.drive_state.physics["qvel"].at[8].set(1e30)}
@@ -193,7 +193,7 @@ def test_a_body_whose_physics_diverge_has_fallen_and_stays_finite(rover):
         assert np.isfinite(leaf).all()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_physics_go_on_from_a_pose_that_is_replaced_in_the_same_program(rover):
     """A body turned and shifted halfway moves on as before, turned and shifted."""
     first, _ = run(rover, COMMAND)
@@ -222,7 +222,7 @@ def test_rows_of_a_batch_are_as_each_alone(rover):
     assert len(TRACES) == traces and np.ptp(batch.position[:, -1], axis=0).max() > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_derivatives_are_finite_and_those_through_mjx_are_zero(rover):
     def end(place, command):
         start, away = replace(placed(rover), position=place), jnp.full(2, 80.0)
@@ -234,7 +234,7 @@ def test_derivatives_are_finite_and_those_through_mjx_are_zero(rover):
     np.testing.assert_array_equal(command, 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_scenario_with_policy_sensors_and_metrics(rover):
     scenario = sean_jax.make("lab", people=4, robot=rover, sensors=["lidar"], metrics=["path_length"], time_limit=10.0)
     evaluation = sean_jax.evaluate(scenario, "go_to_goal", episodes=2, seed=0)
@@ -244,7 +244,7 @@ def test_a_scenario_with_policy_sensors_and_metrics(rover):
     assert np.isfinite(jax.jit(sensors.sense)(scenario, state)["lidar"]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_crawler_walks_as_in_mujoco(tmp_path):
     path = write(tmp_path, CRAWLER)
     limits = {"max_speed": 0.2, "max_lateral_speed": 0.1, "max_turn_rate": 1.0}

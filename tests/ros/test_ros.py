@@ -637,7 +637,7 @@ def test_bad_bags_are_sentences_and_write_nothing(bag, tmp_path, monkeypatch, ca
 # ------------------------------------------------------------------ the commands
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_bags_of_a_run(tmp_path, monkeypatch, capsys):
     """Bags of a run hold the frames of the run; a broken export leaves nothing."""
     monkeypatch.chdir(tmp_path)

@@ -397,7 +397,7 @@ def test_rings_are_the_distances_of_mujoco(scenario, state):
     assert on_people > 300 and on_floor > 50
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_rings_are_differentiable_and_traced_once(scenario, state):
     lidar = rings_of(scenario, 24)
 

@@ -138,7 +138,7 @@ def test_what_the_paper_does_not_combine_is_refused_in_a_sentence(environment, b
         assert task in said and behavior in said and "\n" not in said and said.endswith(".")
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("behavior", BEHAVIORS)
 def test_everything_legal_can_be_traced_again_and_again(behavior, recording):
     """States of all tasks, and those after a step, have the same shapes and types: one program serves all steps."""
@@ -177,7 +177,7 @@ def test_everything_legal_with_every_robot(environment, behavior, robot, recordi
     check(made)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_robot_in_mjx_goes_where_its_twin_does(recording):
     states = []
     for dynamics in ("mjx", "twin"):

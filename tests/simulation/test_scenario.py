@@ -178,7 +178,7 @@ def test_what_does_not_fit_is_refused_in_one_sentence(arguments, words):
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_the_largest_number_that_fits_fits():
     with pytest.raises(ValueError) as refused:
         sean_jax.make(people=10_000, dynamics="twin")
@@ -191,7 +191,7 @@ def test_the_largest_number_that_fits_fits():
         sean_jax.make(people=most + 1, dynamics="twin")
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("behavior", quick(["graph", "random"], "graph"))
 def test_a_crowd_that_warms_up_has_walked_before_the_task_begins(behavior):
     """As people walk among themselves, and the robot begins free of who is there by then."""

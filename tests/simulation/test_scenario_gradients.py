@@ -59,6 +59,7 @@ def agree(value, gradient, at, directions):
         assert by_gradient == pytest.approx(by_difference, rel=1e-3, abs=1e-7), (by_gradient, by_difference)
 
 
+@pytest.mark.night
 def test_with_respect_to_actions(double):
     """Of a robot in MJX."""
     scenario, state = double

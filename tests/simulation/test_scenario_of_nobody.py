@@ -147,7 +147,7 @@ def test_a_stay_of_no_time_ends_at_once(tmp_path):
     assert not np.asarray(graph.is_group)[np.asarray(after.memory.goal)].any()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_sean_with_nobody(tmp_path, yard, capsys):
     """Runs and demonstrations of a robot alone, with their report and their files."""
     from sean_jax.cli import command_line

@@ -223,7 +223,7 @@ def test_3a_without_groups_nothing_is_joined_or_left(closet, at_random):
         assert not flags[..., [join, leave]].any()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_3a_empty_cannot_hold_where_nowhere_is_farther_than_d(closet, joining):
     """A robot and a person in a space smaller than D; in the warehouse, which is larger, it does hold at times."""
     assert np.linalg.norm(closet.people - closet.position[:, :, None], axis=-1).max() < D
@@ -458,7 +458,7 @@ def tasks(scenario):
     return draw(jax.random.split(jax.random.key(9), 40))
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_4e_random_ab_nav_draws_both_poses_from_the_navigable_plane(scenario, tasks):
     task = tasks[2]["random_ab_nav"]
     floor = np.asarray(scenario.environment.floor)

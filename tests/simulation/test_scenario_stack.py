@@ -235,7 +235,7 @@ def test_a_kernel_gets_a_row_for_each_floor():
     np.testing.assert_array_equal(found, (floor[:, None] + lane + 100.0).T)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_runner_takes_floors_in_turn(floors):
     """Episode i is on floor i modulo their number, wherever a batch begins."""
     short = floors.map_member(lambda scenario: scenario.replace(time_limit=1.0))
@@ -384,7 +384,7 @@ def test_policies_drive_on_floors_of_a_set_as_on_each_alone(name):
     assert np.abs(np.asarray(found.robot.position - found.task.start)).max() > 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_run_of_a_set_is_resumed_and_names_its_floors(monkeypatch, tmp_path):
     """Of three episodes on two floors; batches of one; the second batch is interrupted."""
     monkeypatch.chdir(tmp_path)
@@ -415,7 +415,7 @@ def test_a_run_of_a_set_is_resumed_and_names_its_floors(monkeypatch, tmp_path):
         assert not any("in the run" in each["outcome"] for each in page["episodes"])
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_evaluate_takes_floors():
     """In Python; two episodes on the first floors of three, padded and with frames on their own floors."""
     config = options(time_limit=0.5, people=2, task=["join_group", "leave_group"])
@@ -429,7 +429,7 @@ def test_evaluate_takes_floors():
     assert only.size == 1 and only.names == ("passages_0",)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_demonstrations_of_a_set_name_the_floor_of_each_episode(monkeypatch, tmp_path, capsys):
     """An extended collection equals one at once; an episode is driven again on its floor."""
     pytest.importorskip("tensorstore")
@@ -453,7 +453,7 @@ def test_demonstrations_of_a_set_name_the_floor_of_each_episode(monkeypatch, tmp
     assert "in the dataset" not in episode["outcome"]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_set_is_timed_as_one_program(tmp_path):
     words = f"bench --environment {TWO} --people 2 --only step --batches 1 3 --seconds 0.01 --repeats 1 --quiet --out"
     assert command_line.main([*words.split(), str(tmp_path / "made")]) == 0
@@ -462,7 +462,7 @@ def test_a_set_is_timed_as_one_program(tmp_path):
     assert all(row["per_second"] > 0 for row in found["rows"])
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_starts_of_several_tasks_do_not_copy_the_tables():
     """With 2 or 8 floors as much memory for as many starts."""
     memory = {}

@@ -105,7 +105,7 @@ def both(before: State, after: State, action) -> tuple:
     return before, after, action
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_robot_far_from_the_others_is_as_the_plain_scenario(scenario, begun, plain_step, teams, team_step) -> None:
     """Robot, people, situations and task, in random drives; the other robots stand 1 km away."""
     random, state = np.random.default_rng(0), begun
@@ -159,7 +159,7 @@ def test_two_robots_stop_each_other(scenario, begun, teams, team_step) -> None:
     assert (counts[:, :2] >= 1).all() and (counts[:, 0] == counts[:, 1]).all() and not counts[:, 2].any()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_team_of_one_is_the_plain_scenario() -> None:
     """Its reset, and each step from a state of the plain scenario, with all metrics."""
     scenario = make("lab", **OPTIONS)
@@ -228,7 +228,7 @@ def test_people_react_to_each_robot_as_to_one_alone() -> None:
     np.testing.assert_allclose(result, expected, atol=2e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_starts_are_apart_and_tasks_differ(scenario: Scenario, begun: State) -> None:
     """The first robot begins as alone."""
     four = of(scenario, 4)
@@ -257,7 +257,7 @@ def facing(scenario: Scenario, members: Stack[Scenario], gap: float, offset: flo
 FREE = (0.0, 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_robots_of_different_size_stop_each_other() -> None:
     members = make_team("lab", robots="kuri,jackal", **OPTIONS)
     scenario = members.member
@@ -370,7 +370,7 @@ def test_rays_meet_the_solids_of_other_robots(scenario: Scenario, begun: State) 
     assert met > 30
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_gradients_are_finite_and_a_step_is_traced_once(scenario: Scenario) -> None:
     """By the commands of two robots that drive into each other, one of which starts on a person."""
     members = of(scenario, 2)
@@ -478,7 +478,7 @@ def test_actions_of_omnidirectional_robots_have_three_numbers() -> None:
     assert env.action_space.shape == (3,) and env.rows({"hsr_1": [0.0, 1.0, 0.0]}).shape == (2, 3)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_omnidirectional_robots_of_a_team_move_aside() -> None:
     env = TeamEnv(make_team("lab", robots="hsr,hsr", behavior="random", people=2))
     result = jax.jit(lambda state, actions: env.step(state, actions)[1])

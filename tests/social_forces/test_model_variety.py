@@ -193,7 +193,7 @@ def test_streams_of_an_episode_are_those_without_noise():
     assert len({tuple(np.asarray(one).tolist()) for one in vars(streams).values()}) == 5
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_noise_and_traits_change_no_other_draw_and_traits_last_an_episode():
     usual = sean_jax.make("lab", people=4, dynamics="twin", forces="calibrated")
     plain = [term for term in CALIBRATED.tree_replace(dict.fromkeys(DEVIATIONS)) if not isinstance(term, Noise)]

@@ -90,7 +90,7 @@ def forces_and_slopes(parameters, few: bool):
     return slopes(parameters, people.position, people.velocity)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("preset", quick(social_forces.PRESETS, "helbing1995"))
 def test_forces_and_gradients_are_those_of_all_pairs(preset, monkeypatch):
     """On a CPU, and in the form of the sums for older GPUs."""
@@ -148,7 +148,7 @@ def test_both_forms_of_going_back_agree():
         assert np.abs(one).max() > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_forward_mode_equals_reverse_mode_also_twice():
     """Among 303 people: the Jacobian of forces by three places and a constant, and second derivatives of all pairs."""
     parameters, people = social_forces.preset("helbing1995"), crowd()

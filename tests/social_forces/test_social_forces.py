@@ -70,7 +70,7 @@ def test_step_equals_the_float64_loop(preset):
     assert apart.min() < 2.0 and clearance(state[0], boxes).min() < 1.0  # they had something to feel
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_the_forms_for_a_gpu_give_the_same(monkeypatch):
     """Kernels; without them others two by two or four by four, obstacles one by one, bodies in them; derivatives."""
     helbing, calibrated = social_forces.preset("helbing2000"), social_forces.preset("calibrated")
@@ -358,7 +358,7 @@ SPEEDS = {"zero": (0.0, 0.0), "dying away": (1e-22, 3e-23), "slow": (1e-13, 0.0)
 COMPANIONS = {"alone": None, "together": [[1, -1], [0, -1]], "with who is absent": [[1, 2], [0, 2], [0, 1]]}
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize(
     ("preset", "companions"),
     [("helbing2000", name) for name in COMPANIONS],
@@ -765,7 +765,7 @@ def test_parameters_are_replaced_by_name():
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_terms_of_ones_own_move_people_of_a_scenario():
     terms = [*social_forces.preset("helbing1995"), Wind(0.0, 0.6), Magnet(0.2, 3.0)]
     make = functools.partial(sean_jax.make, "lab", people=4, dynamics="twin")
@@ -780,7 +780,7 @@ def test_terms_of_ones_own_move_people_of_a_scenario():
     assert float(slope.wind.y) > 0.1 and np.isfinite(float(slope.magnet.strength)) and float(slope.magnet.strength)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_the_terms_in_the_documents_work(scenario):
     """Each block of docs/social_forces.md, with a small scenario."""
     text = (ROOT / "docs" / "social_forces.md").read_text(encoding="utf-8")

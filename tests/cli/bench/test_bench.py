@@ -55,7 +55,7 @@ def test_the_picture_shows_each_series():
     assert not empty[1].lines and "not measured" in empty[1].texts[0].get_text()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_sean_bench_measures(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench, "SIZES", ((16, 12),))
     monkeypatch.setattr(bench, "IMAGE", (8, 6))

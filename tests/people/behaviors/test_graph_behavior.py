@@ -97,7 +97,7 @@ def test_a_stay_ends_when_the_successor_is_there_or_after_some_waiting(scenario,
     assert relieved >= 5
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_one_way_edges_are_walked_forward_only(scenario, history):
     graph, memory = graph_of(scenario), history[0]
     length = np.linalg.norm(graph.position[:, None] - graph.position[None], axis=-1)

@@ -96,7 +96,7 @@ def expected_walks(graph) -> np.ndarray:
     return count / count.sum()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_more_people_walk_where_the_flow_word_says_so(ring_flows):
     """Low < medium < high on the same edge of the same graph, all else equal, and as many as networkx expects.
 
@@ -363,7 +363,7 @@ ODD = {  # nodes, edges, and (people, routing, congestion_cost) to try
 }
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("kind", quick(ODD, "one node"))
 def test_odd_graphs_and_numbers_of_people(kind, hall):
     """People are put where they aim at, so that they come to a node at every step; seats for all, or too few."""

@@ -150,7 +150,7 @@ def test_without_a_temperature_nothing_is_kept_and_a_cold_one_chooses_the_cheape
     assert free[1e-3] == 0.0 < 0.05 < free[5.0]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_gradients_with_a_temperature_are_finite_and_both_modes_agree(crowds):
     warm, keys = crowds[4, TEMPERATURE], jax.random.split(jax.random.key(1), 3)
 

@@ -62,7 +62,7 @@ def played(folder):
     return scenario, *run(jax.random.key(0))
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_everybody_is_where_they_were_recorded_and_nobody_else(played):
     scenario, _, frames = played
     assert scenario.people == 3  # never more than that at once: 9 takes the row of 8

@@ -38,7 +38,7 @@ def episode(random_scenario):
     return last, frames, np.asarray(goals)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_people_walk_around_obstacles_to_their_goals_and_on_to_others(random_scenario, episode):
     last, frames, goals = episode
     people = np.asarray(frames.people)

@@ -256,7 +256,7 @@ def test_companions_are_predicted_with_their_mean_velocity():
     np.testing.assert_allclose(walked[:, 0], 1.05 * 4.8, rtol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("behavior", list(TASKS))
 def test_walking_groups_among_other_people(behavior):
     """The warehouse's own number of people, half of them in walking groups."""

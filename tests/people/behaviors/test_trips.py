@@ -287,7 +287,7 @@ def test_a_graph_with_trips_is_written_as_it_is_read(tmp_path):
     assert not annotation.build_graph(read, None).entrance.any()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_gradients_are_finite():
     scenario = sean_jax.make(
         "warehouse", behavior="graph", routing="trips", people=24, walking_groups=(0.3, 0.0), dynamics="twin",

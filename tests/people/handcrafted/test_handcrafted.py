@@ -212,7 +212,7 @@ def test_ways_cross_at_right_angles_or_run_along_by_geometry_alone(shipped):
                             assert sides[0] * sides[1] < 0, where
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_people_start_as_drawn(lab, sets, states):
     people = states.pedestrians
     assert set(states.memory.set.tolist()) == set(range(13))
@@ -593,7 +593,7 @@ def test_both_ways_alternate(tmp_path):
     assert np.sign(turn).tolist() == [1, -1, 1, -1, 1]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_sheets_show_every_set_and_node(tmp_path, lab, capsys, monkeypatch):
     figure = drawing.handcrafted_sheet(lab)
     titles = [axes.get_title(loc="left").strip() for axes in figure.axes]
@@ -654,7 +654,7 @@ def test_each_set_makes_its_situation_occur(name):
     assert not failed
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_gradients_are_finite(lab):
     """Of where people are within two seconds, in every constant of the forces."""
     one = tasks.pair(lab, "cross_path_1_density_1", 0, 0)

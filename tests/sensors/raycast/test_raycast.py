@@ -245,7 +245,7 @@ def interpreted(monkeypatch):
     monkeypatch.setattr(kernel, "_call", partial(kernel._call, interpret=True))
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("parallel", [False, True])
 def test_a_gpu_finds_what_a_cpu_finds(interpreted, parallel):
     """Distances to rounding and the same bodies: alone, and in a batch of batches of which each has one crowd."""

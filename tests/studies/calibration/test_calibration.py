@@ -398,7 +398,7 @@ def fewer_families(monkeypatch):
     monkeypatch.setattr(search, "families", lambda *given: [each for each in families_of(*given) if type(each) in kept])
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_the_command_writes_constants_figures_and_a_report(scenes, tmp_path, monkeypatch):
     fewer_families(monkeypatch)
     folder = calibration.run(options(scenes, tmp_path / "one"))

@@ -485,7 +485,7 @@ def test_the_schema_names_each_key():
     assert all(each.get("description") for name, each in schema["properties"].items())
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_benchmark(tmp_path, monkeypatch, capsys):
     """Written, continued, checked, ranked; and refused where somebody changed it."""
     monkeypatch.setattr(benchmark, "TRACKS", {name: shorter(name) for name in ("lab-join_group", "doors", "eth")})

@@ -338,7 +338,7 @@ def test_several_devices_or_few_cores_work_one_by_one(monkeypatch):
     assert experiments.workers() == 1
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_numbered_episodes_are_those_of_their_streams(monkeypatch):
     """Of five streams in one batch: as rolled out alone, from the key of the number, with the stream's scenario."""
     # Three seconds: later on, rounding decides who gives way to whom.
@@ -364,7 +364,7 @@ def test_numbered_episodes_are_those_of_their_streams(monkeypatch):
         assert found["path_length"][number][0] == pytest.approx(float(measured["path_length"][0]), abs=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_chains_restart_from_their_own_stream():
     asked = CollectConfig(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=20.0)
     kinds = list(streams(asked).values())
@@ -415,7 +415,7 @@ def test_chains_of_a_seed_do_not_depend_on_other_seeds_and_further_situations():
 SMALL = "--environment lab --quick --people 4 --time-limit 20 --quiet"
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_table1(tmp_path, monkeypatch):
     """With three parts at once, and what is missing one by one, to the same bytes."""
     monkeypatch.setattr(experiments, "workers", lambda: 3)
@@ -516,7 +516,7 @@ def test_demonstrations_in_figure4(tmp_path):
     assert learners["R"].training((0, 1)).dataset == collected.folder
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_figure4(tmp_path, monkeypatch):
     """With four parts at once, and some of it anew one by one, to the same bytes."""
     monkeypatch.setattr(experiments, "workers", lambda: 4)

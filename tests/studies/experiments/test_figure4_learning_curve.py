@@ -146,7 +146,7 @@ def test_learning_curve(tmp_path, monkeypatch):
     assert {path.name: path.read_bytes() for path in out.glob("*.csv")} == before
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_column_of_figure_4_is_the_folder_of_another_training(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shutil.copytree(AGENTS["ppo"], "runs/mine")

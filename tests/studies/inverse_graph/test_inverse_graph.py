@@ -250,7 +250,7 @@ def test_uniform_stays_are_told_by_their_quartiles():
     assert capacity[0] == 2  # three of them for a moment are no capacity
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_calls_to_groups_are_those_that_people_follow():
     """Counted in people's memory; compared with where they go and stay."""
     scenario = sean_jax.make("lab", behavior="graph", dynamics="twin")
@@ -349,7 +349,7 @@ def test_proposed_graphs_are_sound_connected_and_see_the_floor(name, tmp_path):
     assert len(words.nodes) <= 60
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_people_walk_on_a_proposed_graph(tmp_path):
     """``sean fit-graph`` writes an environment that ``make`` takes; where recorded people come from is a node."""
     yard(tmp_path / "rooms", boxes=ROOMS)

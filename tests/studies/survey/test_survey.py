@@ -305,7 +305,7 @@ async def take_part(link, draw, sent, stop_after=None):
         return page
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_links_open_the_own_page_alone(served):
     mine, researcher = served.links()[0], served.researcher_link
     base, secret = mine.split("/?participant=")
@@ -619,7 +619,7 @@ def start(folder):
     raise AssertionError("it ended")
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_killed_study_loses_no_stored_answer(tmp_path):
     """kill -9 while six participants answer and drive; the same links go on."""
     read(tmp_path)

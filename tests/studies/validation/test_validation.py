@@ -224,7 +224,7 @@ def test_who_heeds_nobody_is_as_fast_in_a_crowd():
     assert finding("iso-13", straight).passed
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_who_does_not_wait_or_does_not_go_fails():
     assert not finding("rimea-5", eager).passed
     for name in ("rimea-1", "rimea-5", "rimea-6", "rimea-10", "nist-2.9", "nist-5.2", "iso-12"):

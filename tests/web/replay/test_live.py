@@ -140,7 +140,7 @@ def test_a_silent_connection_is_closed(walked, monkeypatch):
             assert connection.recv(1) == b""
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_run_serves_its_first_episode(tmp_path, monkeypatch, capsys):
     """The frames that it writes are those that it served, chunk by chunk while it ran."""
     told: list[dict[str, Any]] = []

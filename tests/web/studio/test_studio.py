@@ -63,7 +63,7 @@ def equal(one, other):
 # ------------------------------------------------------------------ a session
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_drive_is_simulated_again_to_the_byte(fresh, tmp_path):
     """Also one that returned to an earlier moment, in which person and policy take turns."""
     fresh.record()
@@ -86,7 +86,7 @@ def test_a_drive_is_simulated_again_to_the_byte(fresh, tmp_path):
     assert equal(repeated.robot, state.robot) and equal(repeated.pedestrians, state.pedestrians)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_drive_of_an_omnidirectional_robot_is_kept(tmp_path):
     """With three numbers a command; it is listed, and simulated again to the byte. Networks are for two wheels."""
     hsr = Session(validate(StudioConfig, OPTIONS | {"robot": "hsr"}).replace(record=tmp_path))
@@ -1180,7 +1180,7 @@ async def record_one(address, steps):
                 return tab
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_killed_studio_loses_one_second_and_no_finished_drive(tmp_path):
     process, address = start(tmp_path)
     for _ in range(2):
@@ -1201,7 +1201,7 @@ def test_a_killed_studio_loses_one_second_and_no_finished_drive(tmp_path):
     assert len(data.episodes) == 3 and data.by_person(data.episodes).all()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_another_scenario_is_opened(tmp_path):
     """All tabs get it; one that is refused leaves the present one as it is."""
     process, address = start(tmp_path)
@@ -1246,7 +1246,7 @@ def test_another_scenario_is_opened(tmp_path):
     assert process.returncode == 0
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_taken_port_is_refused(tmp_path):
     process, address = start(tmp_path)
     port = re.search(r":(\d+)/", address).group(1)
@@ -1418,7 +1418,7 @@ BAD = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_people_go_on_with_a_changed_graph(edited):
     """In the same programs; what is refused changes nothing; undo leads back to the file."""
     edited.restart(0)
@@ -1447,26 +1447,26 @@ def test_people_go_on_with_a_changed_graph(edited):
         edited.edit(None)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_people_begin_anew_on_another_graph_and_floor(edited):
     """A node and a box more: other tables, in which time goes on; undo leads back to the files."""
     edited.restart(0)
     for change in ({"node": "east", "add": "waypoint", "position": [0.6, 1.2], "edge": "corner"},
-                   {"box": "box_1", "add": True, "position": [-5.2, 1.0]}):  # fmt: skip
+                   {"box": "box_1", "add": True, "position": [3.1, 1.9]}):  # fmt: skip
         edited._advance(None)
         edited.edit(change)
         assert len(edited.commands) == 0
         edited._advance(None)
     news = edited.edits()
-    assert "east" in news["graph"]["names"] and [-5.2, 1.0, 0.4, 0.4, 0.0, 1.0] in news["place"]["obstacles"]
+    assert "east" in news["graph"]["names"] and [3.1, 1.9, 0.4, 0.4, 0.0, 1.0] in news["place"]["obstacles"]
     box = np.asarray(edited.scenario.environment.obstacles.center)
-    assert (np.abs(box - [-5.2, 1.0]).max(1) < 1e-6).any()
+    assert (np.abs(box - [3.1, 1.9]).max(1) < 1e-6).any()
     edited.edit(None)
     edited.edit(None)
     assert edited.edits()["difference"] == "" and edited.on_file
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_graph_is_saved_where_it_was_read(edited):
     file = edited.editor.folder / "graph.yaml"
     edited.edit({"node": "meeting", "capacity": 3})  # other seats: the episode begins anew

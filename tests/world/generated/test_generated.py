@@ -196,7 +196,7 @@ def test_a_floor_of_another_process_is_kept(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.rglob("*")] == ["square_3", "first"]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_people_and_a_robot_walk_there(tmp_path):
     generated.save(generated.generate("rooms", 2), tmp_path / "rooms")
     scenario = sean_jax.make(str(tmp_path / "rooms"), task="join_group", dynamics="twin")
