@@ -69,6 +69,15 @@ def scenario():
 
 
 @pytest.fixture(scope="session")
+def whole_scenario():
+    """The same, whose people walk from goal to goal along whole paths, as in the paper."""
+    import sean_jax
+
+    options = {"behavior": "graph", "routing": "whole", "task": "join_group", "robot": "kuri"}
+    return sean_jax.make("warehouse", **options, people=16, dynamics="twin")
+
+
+@pytest.fixture(scope="session")
 def recordings() -> Path:
     """Folder of recorded real trajectories, which are other people's work and not part of this repository."""
     folder = os.environ.get("SEAN_JAX_DATA")

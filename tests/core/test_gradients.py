@@ -20,6 +20,12 @@ STEPS = 11
 POLICY = lambda scenario, state, key: jnp.asarray([0.1, 0.0], float)  # noqa: E731
 
 
+@pytest.fixture(scope="module")
+def scenario(whole_scenario):
+    """People walk along whole paths."""
+    return whole_scenario
+
+
 def toy(scenario, state, action):
     """Positions are multiplied by a constant that stands in the forces, and bent a little; the robot moves along."""
     people, robot, growth = state.pedestrians, state.robot, scenario.forces.walking.speed_ratio

@@ -32,7 +32,7 @@ step = jax.jit(Env.step)
 
 @pytest.fixture(scope="module")
 def env():
-    scenario = sean_jax.make("lab", people=5, dynamics="twin", time_limit=3.0, metrics=[])
+    scenario = sean_jax.make("lab", routing="whole", people=5, dynamics="twin", time_limit=3.0, metrics=[])
     randomization = {"people": (0.2, 1.0), "speed": (0.5, 2.0), "waypoints": (0.5, 2.0)}
     return make_env(scenario, ["goal"], {"progress": 1.0, "personal_space": -1.0}, randomization=randomization)
 

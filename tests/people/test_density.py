@@ -17,6 +17,12 @@ from support import drawn
 STEPS, PEOPLE = 57, 9
 
 
+@pytest.fixture(scope="module")
+def scenario(whole_scenario):
+    """People walk along whole paths."""
+    return whole_scenario
+
+
 def frames_of(people: np.ndarray, present: np.ndarray) -> Any:
     """Frames (T, N, 2), (T, N) in which nothing but people is of interest."""
     none: Any = jnp.zeros(people.shape[:1])

@@ -48,7 +48,8 @@ def record(before, after, action):
 @pytest.fixture(scope="module")
 def scenario():
     """The warehouse with more people than seats in groups, by far: groups are full at times."""
-    made = sean_jax.make("warehouse", behavior="graph", task="join_group", robot="kuri", people=36, dynamics="twin")
+    walks = {"behavior": "graph", "routing": "whole"}
+    made = sean_jax.make("warehouse", **walks, task="join_group", robot="kuri", people=36, dynamics="twin")
     return dataclasses.replace(made, metrics=tuple((name, metrics.METRICS[name]) for name in MEASURED))
 
 

@@ -519,7 +519,7 @@ def come_in(
     comes = arrives & (rate > 0.0) & may_come.any() & ~is_near.any()
     start = (person_chance * scenario.people).astype(jnp.int32)
     turn = (person - start) % scenario.people
-    first = jnp.argmin(jnp.where(may_come, turn, scenario.people))
+    first = jnp.argmin(jnp.where(may_come, turn, scenario.people)).astype(jnp.int32)
     first = jnp.where(people.walking_group[first] >= 0, people.walking_group[first], first)
     is_new = comes & (person == first)
     place = jnp.broadcast_to(places[:1], people.position.shape)

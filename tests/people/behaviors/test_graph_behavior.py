@@ -11,6 +11,12 @@ from support import crowds
 
 
 @pytest.fixture(scope="module")
+def scenario(whole_scenario):
+    """People walk along whole paths."""
+    return whole_scenario
+
+
+@pytest.fixture(scope="module")
 def history(scenario):
     """Memories and people of two episodes of 400 steps."""
     run = jax.jit(jax.vmap(lambda key: crowds.walk(scenario, key, 400)))

@@ -24,6 +24,12 @@ HEAD = "version: 1\nc_min: 0.2\nc_max: 100\n"
 
 
 @pytest.fixture(scope="module")
+def scenario(whole_scenario):
+    """People walk along whole paths."""
+    return whole_scenario
+
+
+@pytest.fixture(scope="module")
 def hall(tmp_path_factory):
     """``hall(graph, people, routing, congestion_cost)``: a scenario of that graph.yaml on one floor around a block."""
     folder = room(tmp_path_factory.mktemp("choices"), (-11, -9, 11, 9), [box((0, 0), (5, 1.5))], 4)

@@ -17,6 +17,12 @@ PEOPLE, PATIENCE = 14, 50
 
 
 @pytest.fixture(scope="module")
+def scenario(whole_scenario):
+    """People walk along whole paths."""
+    return whole_scenario
+
+
+@pytest.fixture(scope="module")
 def sent(scenario):
     """The graph, and 150 random moments: what was there, who asked, and what came out."""
     graph = scenario.behavior.data.graph
@@ -161,7 +167,7 @@ def test_arrivals_are_foretold(occupied):
 @pytest.fixture(scope="module")
 def occupied():
     """A minute and a half of 30 people in the warehouse: their seats and stays, who is near, expected arrivals."""
-    scenario = sean_jax.make(people=30, task="random_ab_nav", dynamics="twin")
+    scenario = sean_jax.make(people=30, routing="whole", task="random_ab_nav", dynamics="twin")
     data = scenario.behavior.data
 
     def seats(before, after):
