@@ -29,9 +29,13 @@ def test_examples_run(tmp_path, monkeypatch):
             exec(block, scope)  # noqa: S102
         else:
             assert command_line.main([*shlex.split(block)[1:], "--quiet"]) == 0
-    gaps = np.linalg.norm(scope["trajectory"].people - scope["trajectory"].position[:, None], axis=-1).min(1)
+    trajectory, loaded = scope["trajectory"], scope["loaded"]
+    present = np.asarray(trajectory.present)
+    gaps = np.linalg.norm(trajectory.people - trajectory.position[:, None], axis=-1)
+    gaps = np.where(present, gaps, np.inf).min(1)
     np.testing.assert_allclose(scope["nearest"], gaps, rtol=1e-5)
     assert (scope["speeds"].speed >= 0).all()
-    np.testing.assert_array_equal(scope["loaded"].people, scope["trajectory"].people)
+    np.testing.assert_array_equal(loaded.present, present)
+    np.testing.assert_array_equal(loaded.people[present], np.asarray(trajectory.people)[present])
     assert scope["lasted"] == pytest.approx(scope["episodes"].seconds[3])
     assert scope["everything"].active.sum(1) * 0.1 == pytest.approx(scope["episodes"].seconds.to_numpy())

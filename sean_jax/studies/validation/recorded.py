@@ -264,6 +264,7 @@ def _walk_again(
 
     Constant velocity, the mark, keeps the speed of a person's first 2 s, and turns to the goal at once.
     """
+    # All windows are simulated together: average people, people with noise, and the mark.
     average = replace(context, model=replace(context.model, move=Average(context.model.move)))
     straight = replace(context, model=model("constant_velocity"))
     scenes = []
@@ -275,6 +276,7 @@ def _walk_again(
     drawn_tracks = iter(context.simulate(scenes))
     straight_tracks = iter(straight.simulate(straight_scenes))
 
+    # Tracks come in the order of the windows.
     measured = {}
     straight_errors = {}
     collisions = {}
@@ -295,6 +297,7 @@ def _walk_again(
             drawn.append(_sampled(next(drawn_tracks), moments))
             weights.append(chosen.sum())
 
+        # Windows of one recording count by their people and moments.
         measured[name] = mean_errors(walked, weights)
         straight_errors[name] = mean_errors(mark, weights)
         collisions[name] = mean_errors(known, weights).collisions

@@ -124,7 +124,7 @@ def test_few_people_fill_the_groups_first():
 
 def test_permanent_members_never_leave_and_visitors_come_besides(scenario):
     """Whoever starts in a group stays; the last seat of each group is empty at first, and its members change."""
-    lasting = sean_jax.make(people=16, group_membership="permanent", dynamics="twin")
+    lasting = sean_jax.make(people=16, routing="whole", group_membership="permanent", dynamics="twin")
     run = jax.jit(lambda key: crowds.walk(lasting, key, 600, lambda _, after: after.pedestrians.group))
     group = np.asarray(run(jax.random.key(2)))
     assert [(group[0] == g).sum() for g in range(3)] == [4, 2, 2]
