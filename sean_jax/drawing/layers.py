@@ -238,14 +238,16 @@ def draw_trails(axes: Axes, frames: Trajectory, steps: int) -> None:
     people = np.asarray(frames.people)[first:]
     present = np.asarray(frames.present)[first:]
     stride = max(1, len(people) // 240)
+    absences = np.cumsum(~present, axis=0)  # (T, N) so far
     people = people[::-stride][::-1]
     present = present[::-stride][::-1]
+    absences = absences[::-stride][::-1]
     if len(people) < 2:
         return
 
-    # People who are absent at one end of a segment did not walk there.
+    # Who was absent in between has left and come in elsewhere.
     segments = np.stack([people[:-1], people[1:]], 2)  # (T - 1, N, 2, 2)
-    walked = present[:-1] & present[1:]
+    walked = present[:-1] & (absences[:-1] == absences[1:])
     walked = walked.ravel()
 
     # Trails fade with age.

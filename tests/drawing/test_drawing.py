@@ -3,6 +3,7 @@
 import sys
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
@@ -137,3 +138,17 @@ def test_pyplot_is_left_alone():
 def test_a_trajectory_is_drawn_without_its_scenario_too():
     bare = drawing.view(frames())
     assert isinstance(bare, Figure) and len(bare.axes) >= 1
+
+
+def test_who_leaves_and_comes_in_elsewhere_has_two_trails():
+    """Even if the person is away for a single one of many frames."""
+    steps = 1000
+    long = jax.tree.map(lambda rows: np.repeat(np.asarray(rows)[:1], steps, 0), frames())
+    people, present = np.array(long.people, float), np.ones(long.present.shape, bool)
+    people[:, 0, 0] = np.where(np.arange(steps) < 501, -3.0, 3.0)
+    for gap in (500, 501):
+        present[:, 0] = np.arange(steps) != gap
+        axes = Figure().add_subplot()
+        layers.draw_trails(axes, long.replace(people=people, present=present), steps)
+        lengths = [np.ptp(np.asarray(path.vertices), axis=0).max() for path in axes.collections[0].get_paths()]
+        assert len(lengths) > 200 and max(lengths) < 1.0

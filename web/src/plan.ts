@@ -184,7 +184,9 @@ export function drawPlan(
   }
 
   function here(name: string, n: number): number {
-    return episode.at(episode.of(name)[n], time);
+    const column = episode.of(name)[n];
+    const stays = present(n, Math.min(frame + 1, episode.frames - 1));
+    return stays ? episode.at(column, time) : column[frame];
   }
 
   function drawTrails(): void {
@@ -198,6 +200,7 @@ export function drawPlan(
           down = false;
           continue;
         }
+        if (t > first && !present(n, t - 1)) down = false; // left and came in elsewhere
         const point = camera.toScreen(xs[n][t], ys[n][t]);
         if (down) paint.lineTo(...point);
         else paint.moveTo(...point);

@@ -274,7 +274,8 @@ export class Scene {
     let k = 0;
     for (let n = 0; n < Math.min(this.count, xs.length); n++) {
       if (present[n][frame] < 0.5) continue;
-      const [x, y] = [episode.at(xs[n], time), episode.at(ys[n], time)];
+      const stays = present[n][Math.min(frame + 1, episode.frames - 1)] > 0.5;
+      const [x, y] = stays ? [episode.at(xs[n], time), episode.at(ys[n], time)] : [xs[n][frame], ys[n][frame]];
       const way = Math.hypot(x - this.place[n][0], y - this.place[n][1]);
       if (way < LEAP) this.phase[n] += (2 * Math.PI * way) / STRIDE;
       this.place[n] = [x, y];
