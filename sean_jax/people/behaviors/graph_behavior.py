@@ -327,7 +327,7 @@ def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
     # Who leaves in this step does not come in at once.
     outside = ~state.pedestrians.present
     people = trips.leave(tables.graph, state.pedestrians, state.memory)
-    people, memory = trips.come_in(scenario, tables.graph, people, state.memory, outside, chance.arrival)
+    people, memory = trips.come_in(scenario, tables.graph, people, state.robot, state.memory, outside, chance.arrival)
     state = replace(state, pedestrians=people, memory=memory)
     graph = _graph_with_congestion(tables, state)
 

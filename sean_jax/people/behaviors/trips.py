@@ -488,13 +488,14 @@ def come_in(
     scenario: Scenario,
     graph: BehaviorGraph,
     people: Pedestrians,
+    robot: Robot,
     memory: GraphMemory,
     outside: Bool[Array, "N"],
     chance: Float[Array, "4"],
 ) -> tuple[Pedestrians, GraphMemory]:
     """People, one of whom or one walking group may come in at an entrance. Arrivals are a Poisson process.
 
-    Who finds the floor full, or somebody in the entrance, goes away.
+    Who finds the floor full, or somebody in the entrance or a robot beside it, goes away.
 
     Args:
         outside: who may come in.
@@ -513,21 +514,30 @@ def come_in(
     limit = scenario.people if scenario.people_present is None else scenario.people_present
     may_come = outside & (person < limit)
 
-    # One of these comes in, or a walking group from its leader on, unless somebody stands in the entrance.
-    gap = people.position - places[:1]  # (N, 2) m
-    is_near = people.present & (length(*components(gap)) < ENTRANCE_GAP)
-    comes = arrives & (rate > 0.0) & may_come.any() & ~is_near.any()
+    # One of these comes in, or a walking group from its leader on.
     start = (person_chance * scenario.people).astype(jnp.int32)
     turn = (person - start) % scenario.people
     first = jnp.argmin(jnp.where(may_come, turn, scenario.people)).astype(jnp.int32)
     first = jnp.where(people.walking_group[first] >= 0, people.walking_group[first], first)
-    is_new = comes & (person == first)
-    place = jnp.broadcast_to(places[:1], people.position.shape)
+    is_new = may_come & (person == first)
+    spots = places[:1]  # (S, 2) m
     if scenario.behavior.companions is not None:
-        is_companion = may_come & (people.walking_group == first)
-        is_new = is_new | (comes & is_companion)
-        place = _apart(places)[jnp.clip(person - first, 0, MAX_GROUP - 1)]
-    return _place_new(people, memory, is_new, node, place)
+        is_new = is_new | (may_come & (people.walking_group == first))
+        spots = _apart(places)
+    index = jnp.clip(person - first, 0, spots.shape[0] - 1)
+
+    # Unless somebody stands in the way of one of them.
+    is_taken = _is_taken(people, robot, spots)
+    comes = arrives & (rate > 0.0) & ~(is_new & is_taken[index]).any()
+    return _place_new(people, memory, comes & is_new, node, spots[index])
+
+
+def _is_taken(people: Pedestrians, robot: Robot, places: Float[Array, "K 2"]) -> Bool[Array, "K"]:
+    """Whether somebody stands at places [m], or a robot is beside them."""
+    gap = people.position[:, None] - places[None, :]  # (N, K, 2) m
+    is_near = length(*components(gap)) < ENTRANCE_GAP
+    has_person = (people.present[:, None] & is_near).any(0)
+    return has_person | _is_beside(robot, places)
 
 
 def _apart(places: Float[Array, "K 2"]) -> Float[Array, "3 2"]:

@@ -163,6 +163,42 @@ def test_who_has_left_begins_no_errand(lab):
     assert ((np.asarray(after.trip.errand) > 0) == np.asarray(present)).all()
 
 
+def come_in(scenario, robot, taken=False):
+    """Whether those outside come in when somebody arrives, with a robot at a place, and a person in each place [m]."""
+    state = sean_jax.reset(scenario, jax.random.key(0))
+    graph = scenario.behavior.data.graph
+    outside = state.pedestrians.walking_group == state.pedestrians.walking_group[-1]
+    outside = outside & (jnp.arange(scenario.people) >= scenario.people - 3)
+    hall = int(np.argmax(np.asarray(graph.entrance)))
+    far = jnp.full((scenario.people, 2), 50.0)
+    robots = replace(state.robot, position=jnp.asarray(robot))
+    chance = jnp.array([0.0, 0.999, 0.5, 0.5])
+    people = replace(state.pedestrians, position=far, present=~outside)
+    after, _ = trips.come_in(scenario, graph, people, robots, state.memory, outside, chance)
+    if not taken:
+        return graph.position[hall], np.asarray(after.present & outside)
+    came = []
+    for person in np.flatnonzero(np.asarray(after.present & outside)):
+        occupied = replace(people, position=far.at[0].set(after.position[person]))
+        again, _ = trips.come_in(scenario, graph, occupied, robots, state.memory, outside, chance)
+        came.append(np.asarray(again.present & outside))
+    return np.stack(came)
+
+
+def test_nobody_comes_in_beside_a_robot(lab):
+    hall, comes = come_in(lab, [100.0, 100.0])
+    assert comes.sum() == 1
+    assert not come_in(lab, hall)[1].any()
+    assert not come_in(lab, np.stack([[100.0, 100.0], hall]))[1].any()  # of a team
+
+
+def test_no_companion_comes_in_where_somebody_stands():
+    scenario = sean_jax.make("lab", people=6, walking_groups=(0.34, 0.5), task="random_ab_nav", dynamics="twin")
+    assert come_in(scenario, [100.0, 100.0])[1].sum() == 3
+    came = come_in(scenario, [100.0, 100.0], taken=True)
+    assert len(came) == 3 and not came.any()
+
+
 def test_walking_groups_come_in_and_leave_together():
     """All members of a group are always present, or none; they come in apart, and from time to time."""
     scenario = sean_jax.make("lab", people=6, walking_groups=(0.34, 0.5), task="random_ab_nav", dynamics="twin")
