@@ -598,7 +598,8 @@ def _graph_with_congestion(tables: GraphTables, state: State) -> BehaviorGraph:
     if tables.congestion_cost is None:
         return tables.graph
     memory = state.memory
-    walking = state.pedestrians.present & (memory.stay == 0)
+    standing = (memory.stay > 0) | trips.at_errand(memory)
+    walking = state.pedestrians.present & ~standing
     density = edge_densities(tables.graph, memory.origin, memory.hop, walking)
     return add_congestion_cost(tables.graph, density, tables.congestion_cost)
 

@@ -12,7 +12,7 @@ import sean_jax
 from sean_jax.core.errors import FileError
 from sean_jax.graph import annotation
 from sean_jax.io import files
-from sean_jax.people.behaviors import graph_choices, trips
+from sean_jax.people.behaviors import graph_behavior, graph_choices, trips
 from sean_jax.simulation.scenario import direct_pedestrians, move_pedestrians
 from sean_jax.studies.validation.floor_measures import Observed, liveliness
 from support import graphs
@@ -197,6 +197,21 @@ def test_no_companion_comes_in_where_somebody_stands():
     assert come_in(scenario, [100.0, 100.0])[1].sum() == 3
     came = come_in(scenario, [100.0, 100.0], taken=True)
     assert len(came) == 3 and not came.any()
+
+
+def test_who_stands_at_a_waypoint_does_not_crowd_an_edge(lab):
+    data = lab.behavior.data.replace(congestion_cost=jnp.asarray(20.0))
+    graph = data.graph
+    door, corner = graph.names.index("door"), graph.names.index("corner")
+    state = sean_jax.reset(lab, jax.random.key(0))
+    nodes = {name: jnp.full(lab.people, node, jnp.int32) for name, node in (("origin", door), ("hop", corner))}
+    memory = state.memory._replace(stay=jnp.zeros(lab.people, jnp.int32), **nodes)
+    cost = {}
+    for errand in (0, 50):
+        ticks = jnp.full(lab.people, errand, jnp.int32)
+        standing = replace(state, memory=memory.with_trip(errand=ticks))
+        cost[errand] = float(graph_behavior._graph_with_congestion(data, standing).edge_cost[door, corner])
+    assert cost[0] > 1.5 * cost[50] and cost[50] == pytest.approx(float(graph.edge_cost[door, corner]))
 
 
 def test_walking_groups_come_in_and_leave_together():
