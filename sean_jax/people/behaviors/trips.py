@@ -256,10 +256,14 @@ def turns_back(memory: GraphMemory, bearing: Float[Array, "M K 2"]) -> Bool[Arra
         bearing: unit vectors from each node towards these nodes, see ``Bearings``.
     """
     assert memory.trip is not None
-    x, y = unit(*components(memory.trip.intent))
+    intent_x, intent_y = components(memory.trip.intent)
+    x, y = unit(intent_x, intent_y)
     way_x, way_y = components(bearing[memory.hop])  # (N, K)
     cosine = x[:, None] * way_x + y[:, None] * way_y
-    walks = (memory.trip.errand == 0) & (memory.stay == 0)
+
+    # Who rises from a seat has neither a stay nor an errand any more, and stands at the goal.
+    rises = (memory.hop == memory.goal) & (length(intent_x, intent_y) < MIN_WANTED)
+    walks = (memory.trip.errand == 0) & (memory.stay == 0) & ~rises
     return walks[:, None] & (cosine < MIN_COSINE)
 
 

@@ -113,6 +113,7 @@ def test_a_walking_person_is_not_sent_back(lab):
     at_corner = jnp.full(people, corner, jnp.int32)
     walking = memory._replace(
         hop=at_corner,
+        goal=jnp.full(people, graph.names.index("desk"), jnp.int32),
         stay=jnp.zeros(people, jnp.int32),
         trip=memory.trip._replace(intent=ahead, errand=jnp.zeros(people, jnp.int32)),
     )
@@ -135,7 +136,9 @@ def test_a_goal_of_weight_zero_is_not_drawn_even_if_people_would_turn_back_for_a
     everywhere = jax.tree.map(lambda way: jnp.zeros_like(way).at[..., 0].set(1.0), data.bearings)
     west = jnp.tile(jnp.array([-1.0, 0.0]), (n, 1))
     memory = memory._replace(
-        stay=jnp.zeros(n, jnp.int32), trip=memory.trip._replace(intent=west, errand=jnp.zeros(n, jnp.int32))
+        goal=jnp.full(n, -1, jnp.int32),
+        stay=jnp.zeros(n, jnp.int32),
+        trip=memory.trip._replace(intent=west, errand=jnp.zeros(n, jnp.int32)),
     )
     odds = np.asarray(trips.goal_odds(graph, memory, everywhere))
     column = np.asarray(graph.waypoints).tolist().index(desk)
@@ -212,6 +215,17 @@ def test_who_stands_at_a_waypoint_does_not_crowd_an_edge(lab):
         standing = replace(state, memory=memory.with_trip(errand=ticks))
         cost[errand] = float(graph_behavior._graph_with_congestion(data, standing).edge_cost[door, corner])
     assert cost[0] > 1.5 * cost[50] and cost[50] == pytest.approx(float(graph.edge_cost[door, corner]))
+
+
+def test_who_rises_from_a_seat_may_go_anywhere(lab):
+    graph = lab.behavior.data.graph
+    memory = sean_jax.reset(lab, jax.random.key(0)).memory
+    meeting = jnp.full(lab.people, graph.names.index("meeting"), jnp.int32)
+    none = jnp.zeros(lab.people, jnp.int32)
+    last_step = jnp.tile(jnp.array([0.02, 0.0]), (lab.people, 1))  # m/s, to a seat
+    rising = memory._replace(hop=meeting, goal=meeting, seat=none - 1, stay=none)
+    rising = rising.with_trip(errand=none, intent=last_step)
+    assert not np.asarray(trips.turns_back(rising, lab.behavior.data.bearings.to_waypoints)).any()
 
 
 def test_walking_groups_come_in_and_leave_together():
