@@ -30,7 +30,8 @@ MAX_CHANGE = 0.8  # m/s2, the same in a tight curve, and where people have to sl
 MIN_GAP = 0.3  # m, shortest distance for which a curve is computed
 BRAKING = 0.4  # m/s2, at which people slow down towards a place where they stop
 PATIENCE = 3.0  # s, after which people who do not get on give their goal up
-AHEAD_PENALTY = 1e4  # m, added to the distance of waypoints ahead of people who go back
+AHEAD_PENALTY = 1e4  # m, added to the distance of waypoints ahead of people who go back ...
+ELSEWHERE_PENALTY = 1e3  # m, ... and of those without an edge to the last node, which may lie beyond a wall
 MIN_WANTED = 0.3  # m/s; people who want to be slower wait
 MIN_PROGRESS = 0.3  # of the speed that people want; slower ones do not get on
 AT_ERRAND = 0.4  # m from the place of an errand
@@ -437,7 +438,7 @@ def turn_round(
         chance: uniform from 0 to 1.
     """
     assert memory.trip is not None
-    node = _waypoint_behind(graph, position, memory.trip.intent)
+    node = _waypoint_behind(graph, position, memory.trip.intent, memory.origin)
     places = _some_places(graph, node, chance)  # (N, K, 2) m
     gap = places - position[:, None]
     farthest = jnp.argmax(length(*components(gap)), axis=1)
@@ -455,13 +456,20 @@ def turn_round(
 
 
 def _waypoint_behind(
-    graph: BehaviorGraph, position: Float[Array, "N 2"], intent: Float[Array, "N 2"]
+    graph: BehaviorGraph, position: Float[Array, "N 2"], intent: Float[Array, "N 2"], origin: Int[Array, "N"]
 ) -> Int[Array, "N"]:
-    """The nearest waypoint that does not lie ahead of people who want a velocity [m/s]; the nearest if all do."""
+    """The nearest waypoint that does not lie ahead of people who want a velocity [m/s]; the nearest if all do.
+
+    The last node and its neighbors come first: others may lie beyond a wall, and the way there through what is in the
+    way.
+    """
     waypoints = graph.waypoints
     gap = graph.position[waypoints][None, :] - position[:, None]  # (N, Mw, 2) m
     distance = length(*components(gap))
     is_ahead = (gap * intent[:, None]).sum(-1) > 0.0
+    is_origin = waypoints[None, :] == origin[:, None]
+    is_near_origin = is_origin | jnp.isfinite(graph.edge_cost[origin][:, waypoints])
+    distance = jnp.where(is_near_origin, distance, distance + ELSEWHERE_PENALTY)
     distance = jnp.where(is_ahead, distance + AHEAD_PENALTY, distance)
     distance = jnp.where(waypoints >= 0, distance, jnp.inf)
     nearest = jnp.argmin(distance, axis=1)

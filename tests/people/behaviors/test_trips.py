@@ -1,5 +1,6 @@
 """Trips on the Behavior Graph: errands, entrances, curves, and people who give up."""
 
+import itertools
 from dataclasses import replace
 
 import jax
@@ -288,6 +289,25 @@ def test_who_does_not_get_on_gives_up(lab):
     assert (behind | all_ahead).all() and (np.asarray(after.hop) == np.asarray(after.goal)).all()
     moving, gives_up = trips.wait(replace(people, velocity=east), memory, 0.1)
     assert (np.asarray(moving.trip.blocked) < np.asarray(memory.trip.blocked)).all()
+
+
+def test_who_gives_up_does_not_go_to_a_waypoint_beyond_a_wall():
+    """From the door of room 0, the waypoint of room 1 is nearer, but the way there leads through the same door."""
+    places = {
+        "room_0": (-4.0, -5.0),
+        "door_0": (-1.0, 2.0),
+        "hall": (2.0, 4.0),
+        "door_1": (5.0, 2.0),
+        "room_1": (1.2, 0.0),
+    }
+    nodes = {name: {"kind": "waypoint", "position": at, "radius": 0.5, "spawn": 1} for name, at in places.items()}
+    edges = [{"between": pair} for pair in itertools.pairwise(nodes)]
+    made = {"version": 1, "c_min": 0.2, "c_max": 100, "nodes": nodes, "edges": edges}
+    graph = annotation.build_graph(annotation.Annotation.model_validate(made), None)
+    before_door, to_door = jnp.array([[-1.0, 1.2]]), jnp.array([[0.0, 1.0]])
+    for origin in ("room_0", "door_0"):
+        node = trips._waypoint_behind(graph, before_door, to_door, jnp.array([graph.names.index(origin)]))
+        assert graph.names[int(node[0])] == "room_0"
 
 
 def test_trips_have_nodes_of_their_own(lab):
