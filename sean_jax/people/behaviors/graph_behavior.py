@@ -327,7 +327,7 @@ def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
     # Who leaves in this step does not come in at once.
     outside = ~state.pedestrians.present
     people = trips.leave(tables.graph, state.pedestrians, state.memory)
-    people, memory = trips.come_in(scenario, tables.graph, people, state.memory, outside, chance.arrival)
+    people, memory = trips.come_in(scenario, tables.graph, people, state.robot, state.memory, outside, chance.arrival)
     state = replace(state, pedestrians=people, memory=memory)
     graph = _graph_with_congestion(tables, state)
 
@@ -598,7 +598,8 @@ def _graph_with_congestion(tables: GraphTables, state: State) -> BehaviorGraph:
     if tables.congestion_cost is None:
         return tables.graph
     memory = state.memory
-    walking = state.pedestrians.present & (memory.stay == 0)
+    standing = (memory.stay > 0) | trips.at_errand(memory)
+    walking = state.pedestrians.present & ~standing
     density = edge_densities(tables.graph, memory.origin, memory.hop, walking)
     return add_congestion_cost(tables.graph, density, tables.congestion_cost)
 

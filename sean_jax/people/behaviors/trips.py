@@ -30,7 +30,8 @@ MAX_CHANGE = 0.8  # m/s2, the same in a tight curve, and where people have to sl
 MIN_GAP = 0.3  # m, shortest distance for which a curve is computed
 BRAKING = 0.4  # m/s2, at which people slow down towards a place where they stop
 PATIENCE = 3.0  # s, after which people who do not get on give their goal up
-AHEAD_PENALTY = 1e4  # m, added to the distance of waypoints ahead of people who go back
+AHEAD_PENALTY = 1e4  # m, added to the distance of waypoints ahead of people who go back ...
+ELSEWHERE_PENALTY = 1e3  # m, ... and of those without an edge to the last node, which may lie beyond a wall
 MIN_WANTED = 0.3  # m/s; people who want to be slower wait
 MIN_PROGRESS = 0.3  # of the speed that people want; slower ones do not get on
 AT_ERRAND = 0.4  # m from the place of an errand
@@ -256,10 +257,14 @@ def turns_back(memory: GraphMemory, bearing: Float[Array, "M K 2"]) -> Bool[Arra
         bearing: unit vectors from each node towards these nodes, see ``Bearings``.
     """
     assert memory.trip is not None
-    x, y = unit(*components(memory.trip.intent))
+    intent_x, intent_y = components(memory.trip.intent)
+    x, y = unit(intent_x, intent_y)
     way_x, way_y = components(bearing[memory.hop])  # (N, K)
     cosine = x[:, None] * way_x + y[:, None] * way_y
-    walks = (memory.trip.errand == 0) & (memory.stay == 0)
+
+    # Who rises from a seat has neither a stay nor an errand any more, and stands at the goal.
+    rises = (memory.hop == memory.goal) & (length(intent_x, intent_y) < MIN_WANTED)
+    walks = (memory.trip.errand == 0) & (memory.stay == 0) & ~rises
     return walks[:, None] & (cosine < MIN_COSINE)
 
 
@@ -433,7 +438,7 @@ def turn_round(
         chance: uniform from 0 to 1.
     """
     assert memory.trip is not None
-    node = _waypoint_behind(graph, position, memory.trip.intent)
+    node = _waypoint_behind(graph, position, memory.trip.intent, memory.origin)
     places = _some_places(graph, node, chance)  # (N, K, 2) m
     gap = places - position[:, None]
     farthest = jnp.argmax(length(*components(gap)), axis=1)
@@ -451,13 +456,20 @@ def turn_round(
 
 
 def _waypoint_behind(
-    graph: BehaviorGraph, position: Float[Array, "N 2"], intent: Float[Array, "N 2"]
+    graph: BehaviorGraph, position: Float[Array, "N 2"], intent: Float[Array, "N 2"], origin: Int[Array, "N"]
 ) -> Int[Array, "N"]:
-    """The nearest waypoint that does not lie ahead of people who want a velocity [m/s]; the nearest if all do."""
+    """The nearest waypoint that does not lie ahead of people who want a velocity [m/s]; the nearest if all do.
+
+    The last node and its neighbors come first: others may lie beyond a wall, and the way there through what is in the
+    way.
+    """
     waypoints = graph.waypoints
     gap = graph.position[waypoints][None, :] - position[:, None]  # (N, Mw, 2) m
     distance = length(*components(gap))
     is_ahead = (gap * intent[:, None]).sum(-1) > 0.0
+    is_origin = waypoints[None, :] == origin[:, None]
+    is_near_origin = is_origin | jnp.isfinite(graph.edge_cost[origin][:, waypoints])
+    distance = jnp.where(is_near_origin, distance, distance + ELSEWHERE_PENALTY)
     distance = jnp.where(is_ahead, distance + AHEAD_PENALTY, distance)
     distance = jnp.where(waypoints >= 0, distance, jnp.inf)
     nearest = jnp.argmin(distance, axis=1)
@@ -488,13 +500,14 @@ def come_in(
     scenario: Scenario,
     graph: BehaviorGraph,
     people: Pedestrians,
+    robot: Robot,
     memory: GraphMemory,
     outside: Bool[Array, "N"],
     chance: Float[Array, "4"],
 ) -> tuple[Pedestrians, GraphMemory]:
     """People, one of whom or one walking group may come in at an entrance. Arrivals are a Poisson process.
 
-    Who finds the floor full, or somebody in the entrance, goes away.
+    Who finds the floor full, or somebody in the entrance or a robot beside it, goes away.
 
     Args:
         outside: who may come in.
@@ -513,21 +526,30 @@ def come_in(
     limit = scenario.people if scenario.people_present is None else scenario.people_present
     may_come = outside & (person < limit)
 
-    # One of these comes in, or a walking group from its leader on, unless somebody stands in the entrance.
-    gap = people.position - places[:1]  # (N, 2) m
-    is_near = people.present & (length(*components(gap)) < ENTRANCE_GAP)
-    comes = arrives & (rate > 0.0) & may_come.any() & ~is_near.any()
+    # One of these comes in, or a walking group from its leader on.
     start = (person_chance * scenario.people).astype(jnp.int32)
     turn = (person - start) % scenario.people
     first = jnp.argmin(jnp.where(may_come, turn, scenario.people)).astype(jnp.int32)
     first = jnp.where(people.walking_group[first] >= 0, people.walking_group[first], first)
-    is_new = comes & (person == first)
-    place = jnp.broadcast_to(places[:1], people.position.shape)
+    is_new = may_come & (person == first)
+    spots = places[:1]  # (S, 2) m
     if scenario.behavior.companions is not None:
-        is_companion = may_come & (people.walking_group == first)
-        is_new = is_new | (comes & is_companion)
-        place = _apart(places)[jnp.clip(person - first, 0, MAX_GROUP - 1)]
-    return _place_new(people, memory, is_new, node, place)
+        is_new = is_new | (may_come & (people.walking_group == first))
+        spots = _apart(places)
+    index = jnp.clip(person - first, 0, spots.shape[0] - 1)
+
+    # Unless somebody stands in the way of one of them.
+    is_taken = _is_taken(people, robot, spots)
+    comes = arrives & (rate > 0.0) & ~(is_new & is_taken[index]).any()
+    return _place_new(people, memory, comes & is_new, node, spots[index])
+
+
+def _is_taken(people: Pedestrians, robot: Robot, places: Float[Array, "K 2"]) -> Bool[Array, "K"]:
+    """Whether somebody stands at places [m], or a robot is beside them."""
+    gap = people.position[:, None] - places[None, :]  # (N, K, 2) m
+    is_near = length(*components(gap)) < ENTRANCE_GAP
+    has_person = (people.present[:, None] & is_near).any(0)
+    return has_person | _is_beside(robot, places)
 
 
 def _apart(places: Float[Array, "K 2"]) -> Float[Array, "3 2"]:

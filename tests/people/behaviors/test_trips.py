@@ -1,5 +1,6 @@
 """Trips on the Behavior Graph: errands, entrances, curves, and people who give up."""
 
+import itertools
 from dataclasses import replace
 
 import jax
@@ -12,7 +13,7 @@ import sean_jax
 from sean_jax.core.errors import FileError
 from sean_jax.graph import annotation
 from sean_jax.io import files
-from sean_jax.people.behaviors import graph_choices, trips
+from sean_jax.people.behaviors import graph_behavior, graph_choices, trips
 from sean_jax.simulation.scenario import direct_pedestrians, move_pedestrians
 from sean_jax.studies.validation.floor_measures import Observed, liveliness
 from support import graphs
@@ -113,6 +114,7 @@ def test_a_walking_person_is_not_sent_back(lab):
     at_corner = jnp.full(people, corner, jnp.int32)
     walking = memory._replace(
         hop=at_corner,
+        goal=jnp.full(people, graph.names.index("desk"), jnp.int32),
         stay=jnp.zeros(people, jnp.int32),
         trip=memory.trip._replace(intent=ahead, errand=jnp.zeros(people, jnp.int32)),
     )
@@ -135,7 +137,9 @@ def test_a_goal_of_weight_zero_is_not_drawn_even_if_people_would_turn_back_for_a
     everywhere = jax.tree.map(lambda way: jnp.zeros_like(way).at[..., 0].set(1.0), data.bearings)
     west = jnp.tile(jnp.array([-1.0, 0.0]), (n, 1))
     memory = memory._replace(
-        stay=jnp.zeros(n, jnp.int32), trip=memory.trip._replace(intent=west, errand=jnp.zeros(n, jnp.int32))
+        goal=jnp.full(n, -1, jnp.int32),
+        stay=jnp.zeros(n, jnp.int32),
+        trip=memory.trip._replace(intent=west, errand=jnp.zeros(n, jnp.int32)),
     )
     odds = np.asarray(trips.goal_odds(graph, memory, everywhere))
     column = np.asarray(graph.waypoints).tolist().index(desk)
@@ -161,6 +165,68 @@ def test_who_has_left_begins_no_errand(lab):
     far = replace(state.robot, position=jnp.full(2, 100.0))
     after, _ = trips.advance_errands(graph, people, far, memory, jnp.full(n, 0.5), lab.time_step)
     assert ((np.asarray(after.trip.errand) > 0) == np.asarray(present)).all()
+
+
+def come_in(scenario, robot, taken=False):
+    """Whether those outside come in when somebody arrives, with a robot at a place, and a person in each place [m]."""
+    state = sean_jax.reset(scenario, jax.random.key(0))
+    graph = scenario.behavior.data.graph
+    outside = state.pedestrians.walking_group == state.pedestrians.walking_group[-1]
+    outside = outside & (jnp.arange(scenario.people) >= scenario.people - 3)
+    hall = int(np.argmax(np.asarray(graph.entrance)))
+    far = jnp.full((scenario.people, 2), 50.0)
+    robots = replace(state.robot, position=jnp.asarray(robot))
+    chance = jnp.array([0.0, 0.999, 0.5, 0.5])
+    people = replace(state.pedestrians, position=far, present=~outside)
+    after, _ = trips.come_in(scenario, graph, people, robots, state.memory, outside, chance)
+    if not taken:
+        return graph.position[hall], np.asarray(after.present & outside)
+    came = []
+    for person in np.flatnonzero(np.asarray(after.present & outside)):
+        occupied = replace(people, position=far.at[0].set(after.position[person]))
+        again, _ = trips.come_in(scenario, graph, occupied, robots, state.memory, outside, chance)
+        came.append(np.asarray(again.present & outside))
+    return np.stack(came)
+
+
+def test_nobody_comes_in_beside_a_robot(lab):
+    hall, comes = come_in(lab, [100.0, 100.0])
+    assert comes.sum() == 1
+    assert not come_in(lab, hall)[1].any()
+    assert not come_in(lab, np.stack([[100.0, 100.0], hall]))[1].any()  # of a team
+
+
+def test_no_companion_comes_in_where_somebody_stands():
+    scenario = sean_jax.make("lab", people=6, walking_groups=(0.34, 0.5), task="random_ab_nav", dynamics="twin")
+    assert come_in(scenario, [100.0, 100.0])[1].sum() == 3
+    came = come_in(scenario, [100.0, 100.0], taken=True)
+    assert len(came) == 3 and not came.any()
+
+
+def test_who_stands_at_a_waypoint_does_not_crowd_an_edge(lab):
+    data = lab.behavior.data.replace(congestion_cost=jnp.asarray(20.0))
+    graph = data.graph
+    door, corner = graph.names.index("door"), graph.names.index("corner")
+    state = sean_jax.reset(lab, jax.random.key(0))
+    nodes = {name: jnp.full(lab.people, node, jnp.int32) for name, node in (("origin", door), ("hop", corner))}
+    memory = state.memory._replace(stay=jnp.zeros(lab.people, jnp.int32), **nodes)
+    cost = {}
+    for errand in (0, 50):
+        ticks = jnp.full(lab.people, errand, jnp.int32)
+        standing = replace(state, memory=memory.with_trip(errand=ticks))
+        cost[errand] = float(graph_behavior._graph_with_congestion(data, standing).edge_cost[door, corner])
+    assert cost[0] > 1.5 * cost[50] and cost[50] == pytest.approx(float(graph.edge_cost[door, corner]))
+
+
+def test_who_rises_from_a_seat_may_go_anywhere(lab):
+    graph = lab.behavior.data.graph
+    memory = sean_jax.reset(lab, jax.random.key(0)).memory
+    meeting = jnp.full(lab.people, graph.names.index("meeting"), jnp.int32)
+    none = jnp.zeros(lab.people, jnp.int32)
+    last_step = jnp.tile(jnp.array([0.02, 0.0]), (lab.people, 1))  # m/s, to a seat
+    rising = memory._replace(hop=meeting, goal=meeting, seat=none - 1, stay=none)
+    rising = rising.with_trip(errand=none, intent=last_step)
+    assert not np.asarray(trips.turns_back(rising, lab.behavior.data.bearings.to_waypoints)).any()
 
 
 def test_walking_groups_come_in_and_leave_together():
@@ -223,6 +289,25 @@ def test_who_does_not_get_on_gives_up(lab):
     assert (behind | all_ahead).all() and (np.asarray(after.hop) == np.asarray(after.goal)).all()
     moving, gives_up = trips.wait(replace(people, velocity=east), memory, 0.1)
     assert (np.asarray(moving.trip.blocked) < np.asarray(memory.trip.blocked)).all()
+
+
+def test_who_gives_up_does_not_go_to_a_waypoint_beyond_a_wall():
+    """From the door of room 0, the waypoint of room 1 is nearer, but the way there leads through the same door."""
+    places = {
+        "room_0": (-4.0, -5.0),
+        "door_0": (-1.0, 2.0),
+        "hall": (2.0, 4.0),
+        "door_1": (5.0, 2.0),
+        "room_1": (1.2, 0.0),
+    }
+    nodes = {name: {"kind": "waypoint", "position": at, "radius": 0.5, "spawn": 1} for name, at in places.items()}
+    edges = [{"between": pair} for pair in itertools.pairwise(nodes)]
+    made = {"version": 1, "c_min": 0.2, "c_max": 100, "nodes": nodes, "edges": edges}
+    graph = annotation.build_graph(annotation.Annotation.model_validate(made), None)
+    before_door, to_door = jnp.array([[-1.0, 1.2]]), jnp.array([[0.0, 1.0]])
+    for origin in ("room_0", "door_0"):
+        node = trips._waypoint_behind(graph, before_door, to_door, jnp.array([graph.names.index(origin)]))
+        assert graph.names[int(node[0])] == "room_0"
 
 
 def test_trips_have_nodes_of_their_own(lab):
