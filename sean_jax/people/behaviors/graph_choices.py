@@ -623,11 +623,13 @@ def draw_waypoint(graph: BehaviorGraph, odds: Float[Array, "N Mw"], chance: Floa
 
 
 def log_waypoint_chance(graph: BehaviorGraph, odds: Float[Array, "N Mw"], goal: Int[Array, "N"]) -> Float[Array, "N"]:
-    """The log of the chance with which each person draws the goal by these odds."""
+    """The log of the chance with which each person draws the goal by these odds; 0 without a choice."""
     is_goal = graph.waypoints[None, :] == goal[:, None]  # (N, Mw)
     goal_odds = jnp.sum(jnp.where(is_goal, odds, 0.0), axis=1)
-    chance = goal_odds / jnp.maximum(jnp.sum(odds, axis=1), 1e-30)
-    return jnp.log(jnp.maximum(chance, 1e-30))
+    total = jnp.sum(odds, axis=1)
+    chance = goal_odds / jnp.maximum(total, 1e-30)
+    log_chance = jnp.log(jnp.maximum(chance, 1e-30))
+    return jnp.where(total > 0.0, log_chance, 0.0)
 
 
 def _count_goals(
