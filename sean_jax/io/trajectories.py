@@ -21,7 +21,7 @@ from sean_jax.core.data_types import Trajectory
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.io import files, writing
 
-ROBOT = -1  # the robot's id; people have the numbers 0 to N - 1
+ROBOT = -1  # the robot's id; for those of people see ``_person_ids``
 MAX_SPEED = 10_000.0  # m/s
 COLUMNS: dict[str, str] = files.read_yaml(Path(__file__).with_suffix(".yaml"))[1]
 """Column of a table -> its meaning."""
@@ -40,7 +40,7 @@ LIMITS = {
     "frame": (0, 10**9),
     "episode": (0, 2**31 - 1),
     "time": (0.0, 10**9),
-    "id": (ROBOT, MAX_PEOPLE - 1),
+    "id": (ROBOT, 10**9 - 1),
     "group": (-1, MAX_PEOPLE),
     **{name: (-MAX_COORDINATE, MAX_COORDINATE) for name in ("x", "y", "goal_x", "goal_y")},
     **{name: (-MAX_SPEED, MAX_SPEED) for name in ("vx", "vy")},
@@ -220,7 +220,8 @@ def _table(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarra
     def rows(robot: np.ndarray, people: np.ndarray) -> np.ndarray:
         return np.concatenate([robot[:, :, None], people], 2)[in_table]
 
-    columns = {"episode": episode, "frame": frame, "time": (frame + 1) * header.time_step, "id": index - 1}
+    columns = {"episode": episode, "frame": frame, "time": (frame + 1) * header.time_step}
+    columns["id"] = rows(np.full((episodes, steps), ROBOT), _person_ids(arrays["present"]))
     columns["x"], columns["y"] = rows(arrays["position"], arrays["people"]).T
     columns["vx"], columns["vy"] = rows(arrays["velocity"], arrays["people_velocity"]).T
     columns["heading_x"], columns["heading_y"] = rows(arrays["heading"], arrays["people_heading"]).T
@@ -232,6 +233,17 @@ def _table(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarra
         column[index == 0] = values.reshape(-1)
         columns[name] = column
     return columns
+
+
+def _person_ids(present: np.ndarray) -> np.ndarray:
+    """(E, T, N) ids: who comes in where somebody has left is another person, so each track has an id of its own.
+
+    The people at the start have 0 to N - 1, the second in each place N to 2 N - 1, and so on.
+    """
+    people = present.shape[-1]
+    before = np.concatenate([np.zeros_like(present[:, :1]), present[:, :-1]], 1)
+    arrivals = np.cumsum(present & ~before, axis=1)
+    return np.arange(people) + people * np.maximum(arrivals - 1, 0)
 
 
 def _columns_of_robot(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarray]:
@@ -272,7 +284,8 @@ def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, firs
         block.check_column(name, robot)
 
     # Columns that depend on each other.
-    block.refuse(columns["id"] >= header.people, "id", f"is none of the {header.people} people")
+    if header.people == 0:
+        block.refuse(columns["id"] >= 0, "id", "is none of the 0 people")
     block.refuse(robot & (columns["group"] != ROBOT), "group", "stands in the row of the robot")
     size = np.hypot(columns["heading_x"], columns["heading_y"])
     block.refuse(~((np.abs(size - 1.0) < 1e-3) | (size == 0.0)), "heading_x", "belongs to no unit vector")
@@ -326,8 +339,10 @@ def _trajectory(path: Path, table: dict[str, np.ndarray], header: Header) -> Tra
     _check_size(path, len(frame), *shape)
     is_robot = table["id"] == ROBOT
     robot = _rows(table, is_robot, ("episode", "frame"), shape[:2])
-    persons = _rows(table, ~is_robot, ("episode", "frame", "id"), shape)
+    place = np.where(is_robot, 0, table["id"] % max(header.people, 1))  # of a person in the arrays
+    persons = _rows({**table, "place": place}, ~is_robot, ("episode", "frame", "place"), shape)
     _check_frames(path, robot, persons)
+    _check_ids(path, table["id"][~is_robot], persons)
 
     command = ("command_speed", *([LEFT] if LEFT in table else []), "command_turn_rate")
     group: Any = np.full(shape, -1, np.int32)
@@ -369,6 +384,19 @@ def _check_frames(path: Path, robot: "TableRows", persons: "TableRows") -> None:
         )
     if driven.sum() + persons.present().sum() < count:
         raise FileError(f"{files.short_name(path)}: {count:,} rows have a person twice in a frame; {CURE}.")
+
+
+def _check_ids(path: Path, ids: np.ndarray, persons: "TableRows") -> None:
+    """FileError for an id that nobody has in its frame."""
+    people = persons.shape[-1]
+    wanted = _person_ids(persons.present())[persons.index]
+    wrong = (ids != wanted) & (ids >= people)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise FileError(
+            f"{files.short_name(path)}: frame {persons.index[1][row]}: id: {ids[row]} is none of the {people} people, "
+            f"nor of those who have come in since; {CURE}."
+        )
 
 
 class TableRows(NamedTuple):

@@ -235,3 +235,23 @@ def test_a_writer_that_fails_leaves_an_earlier_file(tmp_path):
     with pytest.raises(RuntimeError), trajectory_writer(path, situations=[], people=2, steps=3):
         raise RuntimeError
     assert path.read_text() == "kept" and list(tmp_path.iterdir()) == [path]
+
+
+def test_who_comes_in_where_somebody_has_left_is_another_person(tmp_path):
+    """Tracks of one id have no gaps, so speeds over gaps are of nobody; loaded, all are where they were."""
+    frames = random_trajectory(3, None, steps=6, people=2)
+    frames.present[:] = [[1, 0], [1, 0], [0, 1], [1, 1], [1, 0], [1, 1]]
+    save_trajectory(frames, tmp_path / "walk.csv", situations=NAMES)
+    text = (tmp_path / "walk.csv").read_text()
+    rows = list(csv.DictReader(text.splitlines()[1:]))
+    ids = [[int(row["id"]) for row in rows if row["frame"] == str(t) and row["id"] != "-1"] for t in range(6)]
+    assert ids == [[0], [0], [1], [2, 1], [2], [2, 3]]
+    np.testing.assert_array_equal(load_trajectory(tmp_path / "walk.csv").present, frames.present)
+    lines = text.splitlines()
+    cells = lines[-1].split(",")
+    column = lines[1].split(",").index("id")
+    assert cells[column] == "3"
+    cells[column] = "5"
+    (tmp_path / "walk.csv").write_text("\n".join([*lines[:-1], ",".join(cells)]) + "\n")
+    with pytest.raises(InputError, match="frame 5: id: 5 is none of the 2 people, nor of those who have come in"):
+        load_trajectory(tmp_path / "walk.csv")
