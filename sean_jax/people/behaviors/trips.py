@@ -29,6 +29,7 @@ CHANGE = 0.4  # m/s2, at which the velocity that people want changes
 MAX_CHANGE = 0.8  # m/s2, the same in a tight curve, and where people have to slow down
 MIN_GAP = 0.3  # m, shortest distance for which a curve is computed
 BRAKING = 0.4  # m/s2, at which people slow down towards a place where they stop
+RETREAT = 1.5  # m, at least, that people who give up go back
 PATIENCE = 3.0  # s, after which people who do not get on give their goal up
 AHEAD_PENALTY = 1e4  # m, added to the distance of waypoints ahead of people who go back ...
 ELSEWHERE_PENALTY = 1e3  # m, ... and of those without an edge to the last node, which may lie beyond a wall
@@ -460,13 +461,13 @@ def _waypoint_behind(
 ) -> Int[Array, "N"]:
     """The nearest waypoint that does not lie ahead of people who want a velocity [m/s]; the nearest if all do.
 
-    The last node and its neighbors come first: others may lie beyond a wall, and the way there through what is in the
+    A waypoint within ``RETREAT`` is too near what is in the way. The last node and its neighbors come first: others may lie beyond a wall, and the way there through what is in the
     way.
     """
     waypoints = graph.waypoints
     gap = graph.position[waypoints][None, :] - position[:, None]  # (N, Mw, 2) m
     distance = length(*components(gap))
-    is_ahead = (gap * intent[:, None]).sum(-1) > 0.0
+    is_ahead = ((gap * intent[:, None]).sum(-1) > 0.0) | (distance < RETREAT)
     is_origin = waypoints[None, :] == origin[:, None]
     is_near_origin = is_origin | jnp.isfinite(graph.edge_cost[origin][:, waypoints])
     distance = jnp.where(is_near_origin, distance, distance + ELSEWHERE_PENALTY)
