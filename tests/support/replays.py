@@ -43,7 +43,7 @@ def played(page: Path) -> list[dict[str, Any]]:
 @functools.cache
 def lab_episodes():
     """A scenario, and the 60 frames of each of two of its episodes."""
-    scenario = sean_jax.make("lab", people=3, dynamics="twin", time_limit=30.0, metrics="none")
+    scenario = sean_jax.make("lab", routing="whole", people=3, dynamics="twin", time_limit=30.0, metrics="none")
     roll = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, steps=60)[1])
     return scenario, [jax.tree.map(np.asarray, roll(jax.random.key(k))) for k in (0, 1)]
 
