@@ -461,8 +461,8 @@ def _waypoint_behind(
 ) -> Int[Array, "N"]:
     """The nearest waypoint that does not lie ahead of people who want a velocity [m/s]; the nearest if all do.
 
-    A waypoint within ``RETREAT`` is too near what is in the way. The last node and its neighbors come first: others may lie beyond a wall, and the way there through what is in the
-    way.
+    A waypoint within ``RETREAT`` is too near what is in the way. The last node and its neighbors come first: others
+    may lie beyond a wall, and the way there through what is in the way.
     """
     waypoints = graph.waypoints
     gap = graph.position[waypoints][None, :] - position[:, None]  # (N, Mw, 2) m

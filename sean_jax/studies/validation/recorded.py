@@ -30,7 +30,7 @@ from sean_jax.studies.validation.streets import STRIDE, TIME_STEP, Street, walke
 
 OBSERVED = 5  # moments (2 s) of each person that are known: their mean speed is preferred, and they are not counted
 SPEED_SHARE = 0.9  # of the difference of a person's speed in these 2 s from the usual one, that lasts
-TURN_TIME = 1.1  # s, in which the direction that people want turns to their goal; near those of ``benchmarks/intent.py``
+TURN_TIME = 1.1  # s, in which the wanted direction turns to the goal; both are near those of ``benchmarks/intent.py``
 SAMPLES = 20
 CLIP_RATE = 12.5  # frames per second of a clip
 TOUCH = 0.5  # m, between centers: nearer people collide [C24]
