@@ -337,13 +337,16 @@ def _trajectory(path: Path, table: dict[str, np.ndarray], header: Header) -> Tra
         table = {**table, "episode": np.zeros(len(frame), int)}
     shape = int(table["episode"].max()) + 1, int(frame.max()) + 1, header.people
     _check_size(path, len(frame), *shape)
+
+    # Rows of the robot, and of people, whose place in the arrays follows from the id.
     is_robot = table["id"] == ROBOT
     robot = _rows(table, is_robot, ("episode", "frame"), shape[:2])
-    place = np.where(is_robot, 0, table["id"] % max(header.people, 1))  # of a person in the arrays
+    place = np.where(is_robot, 0, table["id"] % max(header.people, 1))
     persons = _rows({**table, "place": place}, ~is_robot, ("episode", "frame", "place"), shape)
     _check_frames(path, robot, persons)
     _check_ids(path, table["id"][~is_robot], persons)
 
+    # Where there is no row, nobody is present.
     command = ("command_speed", *([LEFT] if LEFT in table else []), "command_turn_rate")
     group: Any = np.full(shape, -1, np.int32)
     group[persons.index] = table["group"][~is_robot]
