@@ -341,8 +341,7 @@ def _trajectory(path: Path, table: dict[str, np.ndarray], header: Header) -> Tra
     # Rows of the robot, and of people, whose place in the arrays follows from the id.
     is_robot = table["id"] == ROBOT
     robot = _rows(table, is_robot, ("episode", "frame"), shape[:2])
-    place = np.where(is_robot, 0, table["id"] % max(header.people, 1))
-    persons = _rows({**table, "place": place}, ~is_robot, ("episode", "frame", "place"), shape)
+    persons = _rows_of_people(table, ~is_robot, shape)
     _check_frames(path, robot, persons)
     _check_ids(path, table["id"][~is_robot], persons)
 
@@ -422,6 +421,12 @@ class TableRows(NamedTuple):
         for k, name in enumerate(names):
             values[(*self.index, k)] = self.table[name][self.mask]
         return values
+
+
+def _rows_of_people(table: dict[str, np.ndarray], mask: np.ndarray, shape: tuple[int, ...]) -> TableRows:
+    """Rows of people, whose place in the arrays follows from the id: see ``_person_ids``."""
+    place = table["id"] % max(shape[-1], 1)
+    return _rows({**table, "place": place}, mask, ("episode", "frame", "place"), shape)
 
 
 def _rows(table: dict[str, np.ndarray], mask: np.ndarray, axes: Sequence[str], shape: tuple[int, ...]) -> TableRows:
