@@ -2,8 +2,10 @@
 
 python benchmarks/step.py --batches 64 256                  on a CPU
 python benchmarks/step.py --batches 1024 8192 32768         on a GPU
+python benchmarks/step.py --dynamics twin --routing trips whole edge --only direct_pedestrians step
 """
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -73,13 +75,16 @@ def main() -> None:
         batches=[64],
         people=62,
         dynamics=["twin", "mjx"],
+        routing=["trips"],
         forces="calibrated",
         only=Option([], "names of parts"),
     )
     print(f"{device()}, {chosen.people} people, {chosen.forces}")
-    print(f"{'robot':>5} {'B':>6} {'part':>20} {'us/step':>10} {'steps/s':>12} {'compile s':>9} {'temp MiB':>9}")
-    for dynamics in chosen.dynamics:
-        scenario = sean_jax.make("warehouse", people=chosen.people, dynamics=dynamics, forces=chosen.forces)
+    print(f"{'robot':>5} {'routing':>7} {'B':>6} {'part':>20} {'us/step':>10} {'steps/s':>12} {'compile s':>9} {'temp MiB':>9}")
+    for dynamics, routing in itertools.product(chosen.dynamics, chosen.routing):
+        scenario = sean_jax.make(
+            "warehouse", people=chosen.people, dynamics=dynamics, forces=chosen.forces, routing=routing
+        )
         for batch in chosen.batches:
             keys = jax.random.split(jax.random.key(0), batch)
             states = jax.jit(jax.vmap(lambda key: sean_jax.reset(scenario, key)))(keys)  # noqa: B023
@@ -90,7 +95,7 @@ def main() -> None:
                 run, compiling = compiled(partial(repeated, part, steps), states)
                 seconds = median(partial(run, states), 5) / steps
                 print(
-                    f"{dynamics:>5} {batch:6d} {name:>20} {1e6 * seconds:10.1f} {batch / seconds:12.0f} "
+                    f"{dynamics:>5} {routing:>7} {batch:6d} {name:>20} {1e6 * seconds:10.1f} {batch / seconds:12.0f} "
                     f"{compiling:9.1f} {temporary(run):9.1f}",
                     flush=True,
                 )

@@ -47,11 +47,11 @@ MAX_GROUP = 3  # people of a walking group
 ENTRANCE_GAP = 0.6  # m, to others, of a person who comes in
 MISSED = 3.0  # m from a place that a person has passed by
 MISSED_BEHIND = 0.5  # m, at least, that this place lies behind
-MIN_CHOOSERS = 8  # people who choose in one step
+MIN_CHOOSERS = 5  # people who choose in one step
 PEOPLE_PER_CHOOSER = 8  # in larger crowds
 CHOICES = "goal", "hop", "origin", "target", "seat"  # fields of ``GraphMemory`` that people choose
 TRIP_CHOICES = "errand", "visited", "blocked"  # fields of ``TripMemory`` that change with a choice
-CANDIDATES = 4  # places of a node, of which a person takes the one on the way
+CANDIDATES = 5  # places of a node, of which a person takes the one on the way; a GPU takes longer for 4
 
 
 class Chances(NamedTuple):
@@ -116,11 +116,14 @@ def choosers(candidates: Bool[Array, "N"]) -> Choosers:
     chooses = candidates & (rank < limit)
     row = jnp.clip(rank, 0, max(limit - 1, 0))
 
-    # The person of each row. Rows that nobody has are of the first person.
+    # The person of each row comes after all those up to whom there are too few candidates. Rows that nobody has are of
+    # the last person.
     rows = jnp.arange(limit, dtype=jnp.int32)
-    is_chooser = chooses[None, :] & (rank[None, :] == rows[:, None])  # (K, N)
-    person = jnp.argmax(is_chooser, axis=1).astype(jnp.int32)
-    return Choosers(person, is_chooser.any(1), row, chooses)
+    is_before = rank[None, :] < rows[:, None]  # (K, N)
+    n_before = is_before.sum(1, dtype=jnp.int32)
+    exists = n_before < candidates.shape[0]
+    person = jnp.minimum(n_before, max(candidates.shape[0] - 1, 0))
+    return Choosers(person, exists, row, chooses)
 
 
 def begin(memory: GraphMemory, people: int) -> TripMemory:
@@ -412,9 +415,10 @@ def wait(people: Pedestrians, memory: GraphMemory, time_step: float) -> tuple[Gr
         time_step: s, of control.
     """
     assert memory.trip is not None
-    intent = memory.trip.intent
-    wanted_speed = length(*components(intent))
-    speed_ahead = (people.velocity * intent).sum(-1) / jnp.maximum(wanted_speed, 1e-6)
+    x, y = components(memory.trip.intent)
+    velocity_x, velocity_y = components(people.velocity)
+    wanted_speed = length(x, y)
+    speed_ahead = (velocity_x * x + velocity_y * y) / jnp.maximum(wanted_speed, 1e-6)
     walks = (memory.stay == 0) & (memory.trip.errand == 0) & people.present
 
     # Time without progress counts, and is forgotten twice as fast.
@@ -466,8 +470,10 @@ def _waypoint_behind(
     """
     waypoints = graph.waypoints
     gap = graph.position[waypoints][None, :] - position[:, None]  # (N, Mw, 2) m
-    distance = length(*components(gap))
-    is_ahead = ((gap * intent[:, None]).sum(-1) > 0.0) | (distance < RETREAT)
+    gap_x, gap_y = components(gap)
+    intent_x, intent_y = components(intent[:, None])
+    distance = length(gap_x, gap_y)
+    is_ahead = (gap_x * intent_x + gap_y * intent_y > 0.0) | (distance < RETREAT)
     is_origin = waypoints[None, :] == origin[:, None]
     is_near_origin = is_origin | jnp.isfinite(graph.edge_cost[origin][:, waypoints])
     distance = jnp.where(is_near_origin, distance, distance + ELSEWHERE_PENALTY)
