@@ -80,7 +80,8 @@ def main() -> None:
         only=Option([], "names of parts"),
     )
     print(f"{device()}, {chosen.people} people, {chosen.forces}")
-    print(f"{'robot':>5} {'routing':>7} {'B':>6} {'part':>20} {'us/step':>10} {'steps/s':>12} {'compile s':>9} {'temp MiB':>9}")
+    heads = f"{'robot':>5} {'routing':>7} {'B':>6} {'part':>20}"
+    print(f"{heads} {'us/step':>10} {'steps/s':>12} {'compile s':>9} {'temp MiB':>9}")
     for dynamics, routing in itertools.product(chosen.dynamics, chosen.routing):
         scenario = sean_jax.make(
             "warehouse", people=chosen.people, dynamics=dynamics, forces=chosen.forces, routing=routing
