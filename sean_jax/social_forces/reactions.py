@@ -24,6 +24,7 @@ RAMP = 1.0  # m, over which sight ends and an approach comes to a halt
 BEHIND = -0.34  # 1, cosine of 110 degrees: there sight is zero, and whole at 90; [H] has a step at 100
 PACE = 0.5  # s, in which a person would walk to the place before the robot
 SLOW = 0.1  # m/s, at least, of the speed by which is divided
+ROUND = 0.7  # of ``block``, the distance at which threatening people walk round the robot to the place before it
 
 
 class Kind(IntEnum):
@@ -32,9 +33,9 @@ class Kind(IntEnum):
     INDIFFERENT = 0  # avoid it like a person, as the other terms say
     SURPRISED = 1  # stop and look at it
     CURIOUS = 2  # walk up to it slowly, stop at a distance and look at it
-    CAUTIOUS = 3  # keep far away
+    CAUTIOUS = 3  # walk round it at a distance
     IMPASSIVE = 4  # take no notice of it; only its body stops theirs
-    THREATENING = 5  # walk to a place before it and stay there, in its way
+    THREATENING = 5  # walk round it to a place before it and stay there, in its way
 
 
 ENGAGED = Kind.SURPRISED, Kind.CURIOUS, Kind.THREATENING  # they leave their way, and face the robot
@@ -157,16 +158,25 @@ class Reactions:
         x = jnp.where(approaches, speed * ux, 0.0)
         y = jnp.where(approaches, speed * uy, 0.0)
 
-        # Threatening people walk to a place before it.
+        # Threatening people walk to a place before it, and round it.
         bx = (dx + self.block * robot.heading[0]) / PACE
         by = (dy + self.block * robot.heading[1]) / PACE
         preferred = jnp.maximum(people.preferred_speed, SLOW)
         slower = jax.lax.rsqrt(1.0 + (bx * bx + by * by) / (preferred * preferred))
+        radius = ROUND * self.block
+        bx, by = _around(bx * slower, by * slower, dx, dy, radius, self.block - radius)
         blocks = reaction.kind == Kind.THREATENING
-        x = jnp.where(blocks, bx * slower, x)
-        y = jnp.where(blocks, by * slower, y)
+        x = jnp.where(blocks, bx, x)
+        y = jnp.where(blocks, by, y)
 
-        share = _share(people, reaction, *ENGAGED)  # (N,)
+        # Cautious people go where they want, but far round it.
+        desired_x, desired_y = components(people.desired_velocity)
+        detour_x, detour_y = _around(desired_x, desired_y, dx, dy, self.clearance, RAMP)
+        is_cautious = reaction.kind == Kind.CAUTIOUS
+        x = jnp.where(is_cautious, detour_x, x)
+        y = jnp.where(is_cautious, detour_y, y)
+
+        share = _share(people, reaction, *ENGAGED, Kind.CAUTIOUS)  # (N,)
         velocity = jnp.stack([x, y], -1)  # (N, 2)
         return people.desired_velocity + share[:, None] * (velocity - people.desired_velocity)
 
@@ -207,6 +217,37 @@ def heed(people: Pedestrians, robot: Robot | None) -> Float[Array, "N"] | None:
     before = jnp.maximum(-(ux * robot.heading[0] + uy * robot.heading[1]), 0.0)
     stays = _share(people, reaction, Kind.THREATENING) * before
     return jnp.where(reaction.kind == Kind.IMPASSIVE, 0.0, 1.0 - stays)
+
+
+def _around(
+    x: Float[Array, "N"],
+    y: Float[Array, "N"],
+    dx: Float[Array, "N"],
+    dy: Float[Array, "N"],
+    radius: Float[Array, ""],
+    ramp: Float[Array, ""] | float,
+) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+    """Velocities (x, y) [m/s] that turn to the side before a robot, so that people walk along a circle around it.
+
+    Args:
+        dx: m, to the robot.
+        dy: m.
+        radius: m, of the circle.
+        ramp: m, outside it, over which velocities begin to turn.
+    """
+    ux, uy = unit(dx, dy)
+    approach = x * ux + y * uy  # m/s
+    across = y * ux - x * uy  # m/s, to the left
+
+    # At the circle all of the approach has turned to the nearer side.
+    gap = length(dx, dy) - radius
+    near = jnp.clip(1.0 - gap / jnp.maximum(ramp, 1e-3), 0.0, 1.0)
+    forward = jnp.maximum(approach, 0.0)
+    speed = length(forward, across)
+    on_circle = jnp.where(across >= 0.0, speed, -speed)
+    approach = approach - near * forward
+    across = across + near * (on_circle - across)
+    return approach * ux - across * uy, approach * uy + across * ux
 
 
 def _share(people: Pedestrians, reaction: Reaction, *kinds: Kind) -> Float[Array, "N"]:

@@ -113,9 +113,11 @@ def test_curious_people_lose_interest():
 
 
 def test_cautious_people_keep_farther_away(meetings):
-    for speed, more in ((0.0, 0.5), (0.5, 0.2)):
+    clearance = FORCES.reactions.clearance
+    for speed, share in ((0.0, 1.0), (0.5, 0.85)):  # one that comes at them gets somewhat nearer
         away = meetings[speed][2]
-        assert away[Kind.CAUTIOUS].min() > away[Kind.INDIFFERENT].min() + more
+        assert share * clearance < away[Kind.CAUTIOUS].min() < 1.1 * clearance
+        assert away[Kind.INDIFFERENT].min() < 1.0
         people = meetings[speed][0]
         assert people.position[Kind.CAUTIOUS, -1, 0, 0] > 6.5  # and get to where they wanted
 
@@ -136,6 +138,37 @@ def test_threatening_people_stay_in_the_way_of_the_robot(meetings):
         aside = np.asarray(people.position[:, :, 0, 1])[Kind.THREATENING, 50:]
         assert 0.5 < ahead.min() and ahead.max() < 1.1 and np.abs(aside).max() < 0.1
         assert facing(people, robot)[Kind.THREATENING, 50:].min() > 0.99
+
+
+def test_threatening_people_walk_round_the_robot_without_touching_it():
+    """People whose way crosses that of the robot, from all sides."""
+
+    def cross(angle, offset, speed):
+        direction = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+        meeting = jnp.asarray([6.0, 0.0]) - jnp.asarray([4.0, 0.0]) * speed + offset
+        person = one_person(Kind.THREATENING, position=(0.0, 0.0))
+        velocity = 1.34 * direction[None]
+        start = meeting[None] - 4.0 * velocity
+        person = replace(person, position=start, velocity=velocity, desired_velocity=velocity, heading=direction[None])
+
+        def step(people, tick):
+            robot = robot_at((6.0, 0.0), speed)
+            robot = replace(robot, position=robot.position + robot.heading * speed * STEP * tick)
+            people = advance(FORCES, people, robot)
+            return people, distance_to(people, robot)
+
+        return jax.lax.scan(step, person, jnp.arange(150, dtype=float))[1]
+
+    def distance_to(people, robot):
+        return jnp.linalg.norm(people.position[0] - robot.position)
+
+    generator = np.random.default_rng(0)
+    angle = generator.uniform(-np.pi, np.pi, 256)
+    offset = generator.normal(0.0, 0.5, (256, 2))
+    speed = generator.uniform(0.3, 1.0, 256)
+    away = np.asarray(jax.jit(jax.vmap(cross))(*map(jnp.float32, (angle, offset, speed))))
+    assert (away.min(1) < 2 * RADIUS).mean() < 0.02
+    assert (away[:, 70:].min(1) < 1.2).mean() > 0.7  # and most get to their place before it
 
 
 def test_indifferent_people_and_a_crowd_without_robot_are_as_without_the_term(meetings):
