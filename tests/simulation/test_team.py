@@ -289,6 +289,10 @@ def test_people_attend_to_the_nearest_robot() -> None:
         people = pedestrians_at(jnp.zeros((1, 2)), jnp.array([[0.6, 0.0]]), preferred_speed=jnp.array([1.3]))
         reaction = reactions.draw(jax.random.key(0), 1)
         people = replace(people, reaction=replace(reaction, kind=kind[None], attention=jnp.ones(1)))
+
+        # Cautious people who want to go nowhere are only pushed: they walk round the nearest robot alone.
+        stands = kind == social_forces.Kind.CAUTIOUS
+        people = replace(people, desired_velocity=jnp.where(stands, 0.0, people.desired_velocity))
         robots = Robot(place, jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1), jnp.zeros(3), jnp.zeros(3), ())
 
         def after(robot: Robot | None, radius: jax.Array) -> jax.Array:

@@ -25,10 +25,10 @@ from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMe
 from sean_jax.people.behaviors.starts import follow_leaders
 from sean_jax.social_forces.forces import components
 
-CHANGE = 0.4  # m/s2, at which the velocity that people want changes
-MAX_CHANGE = 0.8  # m/s2, the same in a tight curve, and where people have to slow down
+CHANGE = 0.32  # m/s2, at which the velocity that people want changes
+MAX_CHANGE = 0.6  # m/s2, the same in a tight curve, and where people have to slow down
 MIN_GAP = 0.3  # m, shortest distance for which a curve is computed
-BRAKING = 0.4  # m/s2, at which people slow down towards a place where they stop
+BRAKING = 0.32  # m/s2, at which people slow down towards a place where they stop
 RETREAT = 1.5  # m, at least, that people who give up go back
 PATIENCE = 3.0  # s, after which people who do not get on give their goal up
 AHEAD_PENALTY = 1e4  # m, added to the distance of waypoints ahead of people who go back ...
