@@ -52,7 +52,7 @@ def bold(text: str, *, marked: bool) -> str:
 
 
 def shares(folder: str) -> str:
-    """Table I under both presets: percent of all flags at the first V, and entropies, beside the paper's.
+    """Table I: percent of all flags at the first V, and entropies, beside the paper's; of `sean2` the first policy.
 
     Figures are bold where the paper's does not fit an hour. "none" is percent of the examples in no situation.
     """
@@ -62,7 +62,7 @@ def shares(folder: str) -> str:
         numbers = [f"{100 * printed[name]:.1f}" for name in SITUATIONS]
         rows.append([f"**{behavior}**, paper", *numbers, "", f"{printed['entropy']:.3f}"])
         rows += _shares(folder, behavior, "")
-        rows += _shares(f"{folder}-sean2", behavior, ", `sean2`")
+        rows += _shares(f"{folder}-sean2", behavior, ", `sean2`")[:1]
     names = [name.replace("_", " ") for name in SITUATIONS]
     return markdown(["", *names, "none", "entropy"], rows)
 

@@ -10,23 +10,26 @@ from sean_jax.studies.validation.checks import CHECKS
 
 PAGE = Path(__file__).parent / "validation.md"
 STANDARD = r"(RiMEA|IMO|NIST|ISO) .*, test [\d.]+"
-HEAD = "| check | geometry and people | measured, and when it passes | data | source |\n|---|---|---|---|---|\n"
+HEAD = "| check | what | measured, and when it passes | data | source |\n|---|---|---|---|---|\n"
 
 
 def table() -> str:
-    """A row for each check; checks that differ in their name and source alone share a row."""
+    """A row for each check; checks with the same measurement, criterion and data share a row."""
     same: dict[tuple[str, ...], list[str]] = {}
     for name, check in CHECKS.items():
-        same.setdefault((check.setup, check.measure, check.criterion, check.data), []).append(name)
+        title = check.title if re.fullmatch(STANDARD, check.source) else ""
+        same.setdefault((title, check.measure, check.criterion, check.data), []).append(name)
     return HEAD + "".join(row(names) for names in same.values())
 
 
 def row(names: list[str]) -> str:
-    """The row of one check, or of checks that are equal; a test of a standard has its source in its name."""
+    """The row of one check, or of several; a test of a standard has its source in its name."""
     check = CHECKS[names[0]]
     called = ", ".join(f"`{name}`" for name in names)
-    source = "" if re.fullmatch(STANDARD, check.source) else check.source
-    return f"| {called} | {check.setup} | {check.measure}: {check.criterion} | {check.data} | {source} |\n"
+    titles = list(dict.fromkeys(CHECKS[name].title for name in names))
+    what = titles[0] if len(titles) == 1 else "; ".join(dict.fromkeys(title.split(",")[0] for title in titles))
+    source = "" if re.fullmatch(STANDARD, check.source) or "that of" in check.measure else check.source
+    return f"| {called} | {what} | {check.measure}: {check.criterion} | {check.data} | {source} |\n"
 
 
 def fill(text: str) -> str:
