@@ -158,16 +158,11 @@ class Reactions:
         x = jnp.where(approaches, speed * ux, 0.0)
         y = jnp.where(approaches, speed * uy, 0.0)
 
-        # Threatening people walk to a place before it, and round it.
-        bx = (dx + self.block * robot.heading[0]) / PACE
-        by = (dy + self.block * robot.heading[1]) / PACE
-        preferred = jnp.maximum(people.preferred_speed, SLOW)
-        slower = jax.lax.rsqrt(1.0 + (bx * bx + by * by) / (preferred * preferred))
-        radius = ROUND * self.block
-        bx, by = _around(bx * slower, by * slower, dx, dy, radius, self.block - radius)
+        # Threatening people walk to a place before it.
+        place_x, place_y = self._to_place_before(people, robot)
         blocks = reaction.kind == Kind.THREATENING
-        x = jnp.where(blocks, bx, x)
-        y = jnp.where(blocks, by, y)
+        x = jnp.where(blocks, place_x, x)
+        y = jnp.where(blocks, place_y, y)
 
         # Cautious people go where they want, but far round it.
         desired_x, desired_y = components(people.desired_velocity)
@@ -179,6 +174,18 @@ class Reactions:
         share = _share(people, reaction, *ENGAGED, Kind.CAUTIOUS)  # (N,)
         velocity = jnp.stack([x, y], -1)  # (N, 2)
         return people.desired_velocity + share[:, None] * (velocity - people.desired_velocity)
+
+    def _to_place_before(self, people: Pedestrians, robot: Robot) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+        """Velocities [m/s] to the place ``block`` before the robot, round it and slower near the place."""
+        dx, dy = _to_robot(people, robot)
+        x = (dx + self.block * robot.heading[0]) / PACE
+        y = (dy + self.block * robot.heading[1]) / PACE
+        preferred = jnp.maximum(people.preferred_speed, SLOW)
+        slower = jax.lax.rsqrt(1.0 + (x * x + y * y) / (preferred * preferred))
+
+        # The circle ends before the place: people walk straight up to it.
+        radius = ROUND * self.block
+        return _around(x * slower, y * slower, dx, dy, radius, self.block - radius)
 
     def gaze(self, people: Pedestrians, robot: Robot) -> Float[Array, "N 2"]:
         """What is added to the velocity [m/s] to which the body turns, so that people who attend face the robot."""

@@ -116,8 +116,8 @@ def choosers(candidates: Bool[Array, "N"]) -> Choosers:
     chooses = candidates & (rank < limit)
     row = jnp.clip(rank, 0, max(limit - 1, 0))
 
-    # The person of each row comes after all those up to whom there are too few candidates. Rows that nobody has are of
-    # the last person.
+    # The person of row k is the first with rank k, so the index is the number of people with a lower rank. Rows that
+    # nobody has are of the last person.
     rows = jnp.arange(limit, dtype=jnp.int32)
     is_before = rank[None, :] < rows[:, None]  # (K, N)
     n_before = is_before.sum(1, dtype=jnp.int32)
