@@ -345,7 +345,9 @@ def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
     gap, speed = _way(tables, people, memory, seats, pace)
     if scenario.behavior.companions is not None:
         gap = walk_abreast(people, gap)
+    speed = trips.held_up_speed(people, memory, speed)
     memory, intent = trips.change_intent(memory, gap, speed, scenario.time_step)
+    memory, intent = trips.stop_before_walls(scenario, people, memory, intent)
     people = replace(people, desired_velocity=intent)
 
     # Bodies turn into seats as fast as people can turn.

@@ -24,20 +24,24 @@ from sean_jax.people.behaviors import graph_choices
 from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above
 from sean_jax.people.behaviors.starts import follow_leaders
 from sean_jax.social_forces.forces import components
+from sean_jax.social_forces.walls import project_velocity
 
-CHANGE = 0.32  # m/s2, at which the velocity that people want changes
-MAX_CHANGE = 0.6  # m/s2, the same in a tight curve, and where people have to slow down
+CHANGE = 0.28  # m/s2, at which the velocity that people want changes
+MAX_CHANGE = 0.55  # m/s2, the same in a tight curve, and where people have to slow down
+STOPPING_TIME = 1.25  # s before a wall, from where people do not want to go on towards it
+MAX_LEAD = 0.25  # m/s, by which people want to be faster than they get on ...
+MIN_PUSH = 0.6  # m/s, ... but in a crowd at least this fast
 MIN_GAP = 0.3  # m, shortest distance for which a curve is computed
 BRAKING = 0.32  # m/s2, at which people slow down towards a place where they stop
 RETREAT = 1.5  # m, at least, that people who give up go back
-PATIENCE = 3.0  # s, after which people who do not get on give their goal up
+PATIENCE = 2.5  # s, after which people who do not get on give their goal up
 AHEAD_PENALTY = 1e4  # m, added to the distance of waypoints ahead of people who go back ...
 ELSEWHERE_PENALTY = 1e3  # m, ... and of those without an edge to the last node, which may lie beyond a wall
 MIN_WANTED = 0.3  # m/s; people who want to be slower wait
 MIN_PROGRESS = 0.3  # of the speed that people want; slower ones do not get on
 AT_ERRAND = 0.4  # m from the place of an errand
 BESIDE_ROBOT = 1.5  # m from a robot, where nobody has an errand
-HURRY_TIME = 3.0  # s, in which an errand ends if a robot comes
+HURRY_TIME = 1.0  # s, in which an errand ends if a robot comes
 CROWDED_OUT = 0.3  # m/s, a slower person within ARRIVED of the place has the errand here, because somebody is there
 MIN_COSINE = -0.3  # between the present and the next direction, below which a person would turn back
 RECENT_ODDS = 1e-3  # of one of the last two goals, or of a waypoint without errands, relative to others
@@ -387,6 +391,36 @@ def change_intent(
     stands = present_speed < 1e-3
     x = x + jnp.where(stands, share * change_x, turned_x)
     y = y + jnp.where(stands, share * change_y, turned_y)
+    intent = jnp.stack([x, y], -1)
+    return memory.with_trip(intent=intent), intent
+
+
+def held_up_speed(people: Pedestrians, memory: GraphMemory, speed: Float[Array, "N"]) -> Float[Array, "N"]:
+    """Speeds [m/s] that people want, lower for those whom others hold up: then they set out gently when they are free.
+
+    Args:
+        speed: m/s, that they want alone.
+    """
+    assert memory.trip is not None
+    ahead_x, ahead_y = unit(*components(memory.trip.intent))
+    velocity_x, velocity_y = components(people.velocity)
+    progress = velocity_x * ahead_x + velocity_y * ahead_y
+    limit = jnp.maximum(progress + MAX_LEAD, MIN_PUSH)
+    return jnp.minimum(speed, limit)
+
+
+def stop_before_walls(
+    scenario: Scenario, people: Pedestrians, memory: GraphMemory, intent: Float[Array, "N 2"]
+) -> tuple[GraphMemory, Float[Array, "N 2"]]:
+    """The memory, and velocities [m/s] without what would lead people into an obstacle within ``STOPPING_TIME``.
+
+    A curve that is as wide as people want it may not fit into the room.
+    """
+    position_x, position_y = components(people.position)
+    intent_x, intent_y = components(intent)
+    grid = scenario.environment.obstacle_grid
+    radius = scenario.forces.walking.radius
+    x, y = project_velocity(position_x, position_y, intent_x, intent_y, grid, radius, STOPPING_TIME)
     intent = jnp.stack([x, y], -1)
     return memory.with_trip(intent=intent), intent
 
