@@ -116,6 +116,33 @@ def project_velocity(
     return _at_obstacles(_project, px, py, grid, vx, vy, radius, time_step, friction)
 
 
+def limit_approach(
+    px: Float[Array, "N"],
+    py: Float[Array, "N"],
+    vx: Float[Array, "N"],
+    vy: Float[Array, "N"],
+    grid: ObstacleGrid,
+    radius: Float[Array, ""] | float,
+    time: Float[Array, ""] | float,
+) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+    """Velocities [m/s] without what would lead bodies into an obstacle within some time [s].
+
+    In an acute corner the result may still approach an obstacle; ``project_velocity`` guarantees that none is entered.
+
+    Args:
+        radius: m, of the bodies.
+    """
+    return _at_obstacles(_bound, px, py, grid, vx, vy, radius, time)
+
+
+def _bound(
+    total: Callable, smallest: Callable, vx: Array, vy: Array, radius: Array | float, time_step: Array | float
+) -> tuple[Array, Array]:
+    """``limit_approach`` of one person."""
+    x, y = total(_correction, vx, vy, radius, time_step)
+    return vx + x, vy + y
+
+
 def _project(
     total: Callable,
     smallest: Callable,
@@ -128,9 +155,7 @@ def _project(
     """``project_velocity`` of one person."""
     free_x = vx
     free_y = vy
-    x, y = total(_correction, vx, vy, radius, time_step)
-    vx = vx + x
-    vy = vy + y
+    vx, vy = _bound(total, smallest, vx, vy, radius, time_step)
     if friction is not None:
         x, y = total(_rubbing, free_x, free_y, vx, vy, radius, time_step, friction)
         vx = vx + x

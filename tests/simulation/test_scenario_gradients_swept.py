@@ -258,6 +258,7 @@ def laws() -> dict[str, Any]:
         "from_rectangle": lambda d, v: geometry.from_rectangle(*d, 0.0, 0.0, 0.5, 0.25, 1.0, 0.0),
         "from_turned_rectangle": lambda d, v: geometry.from_rectangle(*d, 0.5, 0.0, 0.5, 0.25, 0.8, 0.6),
         "project_velocity": lambda d, v: walls.project_velocity(d[:1], d[1:], v[:1], v[1:], between, 0.3, 0.05, 1e-3),
+        "limit_approach": lambda d, v: walls.limit_approach(d[:1], d[1:], v[:1], v[1:], between, 0.3, 1.25),
         "wall_forces": lambda d, v: walls.wall_forces(p.walls, d[:1], d[1:], between, 1e6),
         "contact": lambda d, v: p.contact.pair(pair(*d, *v)),
         "sidestep": lambda d, v: p.sidestep.pair(pair(*d, *v)),

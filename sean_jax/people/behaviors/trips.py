@@ -24,7 +24,7 @@ from sean_jax.people.behaviors import graph_choices
 from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above
 from sean_jax.people.behaviors.starts import follow_leaders
 from sean_jax.social_forces.forces import components
-from sean_jax.social_forces.walls import project_velocity
+from sean_jax.social_forces.walls import limit_approach
 
 CHANGE = 0.28  # m/s2, at which the velocity that people want changes
 MAX_CHANGE = 0.55  # m/s2, the same in a tight curve, and where people have to slow down
@@ -34,7 +34,7 @@ MIN_PUSH = 0.6  # m/s, ... but in a crowd at least this fast
 MIN_GAP = 0.3  # m, shortest distance for which a curve is computed
 BRAKING = 0.32  # m/s2, at which people slow down towards a place where they stop
 RETREAT = 1.5  # m, at least, that people who give up go back
-PATIENCE = 2.5  # s, after which people who do not get on give their goal up
+PATIENCE = 2.0  # s, after which people who do not get on give their goal up
 AHEAD_PENALTY = 1e4  # m, added to the distance of waypoints ahead of people who go back ...
 ELSEWHERE_PENALTY = 1e3  # m, ... and of those without an edge to the last node, which may lie beyond a wall
 MIN_WANTED = 0.3  # m/s; people who want to be slower wait
@@ -420,7 +420,7 @@ def stop_before_walls(
     intent_x, intent_y = components(intent)
     grid = scenario.environment.obstacle_grid
     radius = scenario.forces.walking.radius
-    x, y = project_velocity(position_x, position_y, intent_x, intent_y, grid, radius, STOPPING_TIME)
+    x, y = limit_approach(position_x, position_y, intent_x, intent_y, grid, radius, STOPPING_TIME)
     intent = jnp.stack([x, y], -1)
     return memory.with_trip(intent=intent), intent
 
