@@ -3,7 +3,7 @@
 import importlib.metadata
 import os
 
-from sean_jax.io import cache
+from sean_jax.io import program_cache
 
 LOOPS = "--xla_cpu_use_fusion_emitters"  # a flag of jaxlib 0.10; later versions refuse it
 
@@ -15,7 +15,7 @@ def configure() -> None:
     an equally fast program. The log level keeps XLA's alarms off the terminal: a page of text, as an error, for each
     program that is slow to compile. Real failures are raised.
     """
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache.folder() / "xla"))
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(program_cache.folder()))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
     flags = os.environ.get("XLA_FLAGS", "")

@@ -17,7 +17,7 @@ from sean_jax.core import user_calls
 from sean_jax.core.data_types import Array, Behavior, RobotModel, Scenario
 from sean_jax.core.errors import InputError
 from sean_jax.core.messages import listed, shorten
-from sean_jax.io import cache, files
+from sean_jax.io import cache, files, program_cache
 from sean_jax.people import behaviors
 from sean_jax.simulation import team
 from sean_jax.simulation.scenario import direct_pedestrians, measure, move_pedestrians, reset, results
@@ -141,6 +141,7 @@ def build_members(plan: ScenarioPlan, limit: int | None = None) -> Stack[Scenari
     Raises:
         InputError: one sentence that names the value and the cure.
     """
+    program_cache.keep_programs()  # before tables are computed
     folders = plan.folders[:limit] or tuple(generated.find(plan.config.environment, limit))
     if not plan.folders:
         for folder in folders:
