@@ -262,8 +262,10 @@ def longest_near(observed: Observed, place: Float[np.ndarray, "2"], distance: fl
     return max(_longest_run(flags) for flags in near.T) * observed.time_step
 
 
-def passes(observed: Observed, left: Float[np.ndarray, "2"], right: Float[np.ndarray, "2"]) -> int:
-    """How often people cross the line between two points [m] in either direction, and do not come back soon."""
+def passes(observed: Observed, left: Float[np.ndarray, "2"], right: Float[np.ndarray, "2"]) -> tuple[int, int]:
+    """How often people cross the line between two points [m] in either direction; and how often they cross it and soon
+    come back.
+    """
     side = right - left
     width = np.hypot(*side)
     along_x, along_y = side / width
@@ -273,15 +275,15 @@ def passes(observed: Observed, left: Float[np.ndarray, "2"], right: Float[np.nda
     within = (along > 0.0) & (along < width) & observed.present
     crosses = (is_beyond[1:] != is_beyond[:-1]) & within[1:] & within[:-1]
 
-    # Who turns round behind the line has not passed: both crossings do not count.
-    number = 0
+    # Who turns round behind the line has not passed: neither crossing counts.
+    returns = 0
     for flags in crosses.T:
         last = -np.inf
         for moment in np.flatnonzero(flags):
             comes_back = (moment - last) * observed.time_step < SOON
-            number += -1 if comes_back else 1
+            returns += int(comes_back)
             last = -np.inf if comes_back else moment
-    return number
+    return int(crosses.sum()) - 2 * returns, returns
 
 
 def used_cells(observed: Observed, size: float = 1.0) -> set[tuple[int, int]]:

@@ -93,7 +93,9 @@ def observe(scenario: Scenario, seconds: float, seed: int = SEED) -> tuple[Obser
 
 
 def _observed(seen: Seen, time_step: float) -> Observed:
-    return Observed(seen.position, seen.present, seen.standing, seen.heading, time_step)
+    """What is seen, as the detectors take it."""
+    position, present, standing, heading, _ = map(np.asarray, seen)
+    return Observed(position, present, standing, heading, time_step)
 
 
 def shipped(context: CheckContext, environment: str, seconds: float = 120.0) -> CheckResult:
@@ -151,10 +153,11 @@ def compare_groups(measured: dict[str, GroupLife]) -> CheckResult:
 
 
 class DoorDraws(NamedTuple):
-    """People at a door in some draws: the longest time near the robot's place [s], and how many pass the door."""
+    """People at a door in some draws."""
 
-    longest: list[float]
+    longest: list[float]  # s, near the robot's place
     passes: list[int]
+    returns: list[int]  # of people who come back at once, and have not passed
 
 
 def door_draws(draws: int, model: Model | None = None) -> dict[str, DoorDraws]:
@@ -169,13 +172,14 @@ def door_draws(draws: int, model: Model | None = None) -> dict[str, DoorDraws]:
     figures = {}
     for name, robots in (("robot", places), ("nobody", np.full_like(places, NOWHERE))):
         seen = jax.tree.map(np.asarray, program(keys, jnp.asarray(robots, float)))
-        longest = []
-        crossings = []
+        draws_of = DoorDraws([], [], [])
         for place, *rows in zip(places, *seen, strict=True):
             observed = _observed(Seen(*rows), scenario.time_step)
-            longest.append(round(longest_near(observed, place, NEAR_ROBOT), 1))
-            crossings.append(passes(observed, *DOOR))
-        figures[name] = DoorDraws(longest, crossings)
+            n_passes, n_returns = passes(observed, *DOOR)
+            draws_of.longest.append(round(longest_near(observed, place, NEAR_ROBOT), 1))
+            draws_of.passes.append(n_passes)
+            draws_of.returns.append(n_returns)
+        figures[name] = draws_of
     return figures
 
 
@@ -190,16 +194,19 @@ def compare_doors(figures: dict[str, DoorDraws]) -> CheckResult:
     longest = np.array(figures["robot"].longest)
     calm = int((longest <= limits["longest"]).sum())
     flow, usual = sum(figures["robot"].passes), sum(figures["nobody"].passes)
+    returns, usual_returns = sum(figures["robot"].returns), sum(figures["nobody"].returns)
     share = flow / max(usual, 1)
 
     enough = calm >= limits["calm_draws"] * len(longest)
     as_usual = abs(share - 1.0) <= limits["flow"]
+    numbers = {"calm_draws": calm / len(longest), "longest": longest.max(), "flow": share, "returns": returns}
     return result(
         enough and as_usual,
         f"nobody within {NEAR_ROBOT:g} m for more than {limits['longest']:g} s in {calm} of {len(longest)} draws, "
-        f"{longest.max():.1f} s at most; {flow} people pass, {usual} without a robot",
+        f"{longest.max():.1f} s at most; {flow} people pass and {returns} come back at once, without a robot {usual} and "
+        f"{usual_returns}",
         f"{limits['calm_draws']:.0%} of the draws, passes within {limits['flow']:.0%}",
-        numbers={"calm_draws": calm / len(longest), "longest": float(longest.max()), "flow": share},
+        numbers={name: float(value) for name, value in numbers.items()},
     )
 
 

@@ -133,15 +133,15 @@ def test_who_is_stuck_at_a_robot_and_who_passes_a_door():
     assert longest_near(seen(np.zeros((300, 2))), np.array([0.5, 0.0]), 1.0) == pytest.approx(30.0)
     ends = np.array([[5.05, -1.0], [5.05, 1.0]])
     walk = seen(there_and_back(seconds=30.0))
-    assert passes(walk, *ends) == passes(walk, *ends[::-1]) == 2
-    assert passes(walk, *(ends + [0.0, 2.0])) == 0
-    assert passes(walk, *(ends + [6.0, 0.0])) == 0  # back after 8 s
+    assert passes(walk, *ends) == passes(walk, *ends[::-1]) == (2, 0)
+    assert passes(walk, *(ends + [0.0, 2.0])) == (0, 0)
+    assert passes(walk, *(ends + [6.0, 0.0])) == (0, 1)  # back after 8 s
 
-    usual = DoorDraws([2.0] * 20, [10] * 20)
-    once = DoorDraws([2.0] * 19 + [30.0], [9] * 20)
+    usual = DoorDraws([2.0] * 20, [10] * 20, [0] * 20)
+    once = DoorDraws([2.0] * 19 + [30.0], [9] * 20, [0] * 20)
     assert compare_doors({"robot": once, "nobody": usual}).passed
-    twice = DoorDraws([2.0] * 18 + [30.0] * 2, [9] * 20)
-    few, many = DoorDraws([2.0] * 20, [7] * 20), DoorDraws([2.0] * 20, [13] * 20)
+    twice = DoorDraws([2.0] * 18 + [30.0] * 2, [9] * 20, [0] * 20)
+    few, many = DoorDraws([2.0] * 20, [7] * 20, [0] * 20), DoorDraws([2.0] * 20, [13] * 20, [0] * 20)
     for draws in (twice, few, many):
         assert not compare_doors({"robot": draws, "nobody": usual}).passed
 
