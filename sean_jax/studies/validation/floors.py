@@ -203,8 +203,8 @@ def compare_doors(figures: dict[str, DoorDraws]) -> CheckResult:
     return result(
         enough and as_usual,
         f"nobody within {NEAR_ROBOT:g} m for more than {limits['longest']:g} s in {calm} of {len(longest)} draws, "
-        f"{longest.max():.1f} s at most; {flow} people pass and {returns} come back at once, without a robot {usual} and "
-        f"{usual_returns}",
+        f"{longest.max():.1f} s at most; {flow} people pass and {returns} come back at once, without a robot {usual} "
+        f"and {usual_returns}",
         f"{limits['calm_draws']:.0%} of the draws, passes within {limits['flow']:.0%}",
         numbers={name: float(value) for name, value in numbers.items()},
     )
