@@ -222,36 +222,37 @@ def standstill(observed: Observed) -> tuple[float, float, float]:
 
 def group_life(observed: Observed, gathered: GatheredPeople) -> GroupLife:
     """Stays that begin and end while people are observed, and non-members in the o-spaces of two or more members."""
-    durations: list[float] = []
-    unlike, leaves, group_moments, occupied, intruded = 0, 0, 0, 0, 0
-    for index, (center, radius) in enumerate(zip(gathered.center, gathered.radius, strict=True)):
+    durations: list[float] = []  # s
+    unlike, leaves, occupied, intruded = 0, 0, 0, 0
+    for index, (shortest, longest) in enumerate(gathered.visit):
         is_member = (gathered.group == index) & observed.present
-        shortest, longest = gathered.visit[index]
-        for person in range(is_member.shape[1]):
-            for moments in _completed_runs(is_member[:, person]):
-                stay = moments * observed.time_step
-                durations.append(stay)
-                unlike += not shortest - observed.time_step <= stay <= longest + HANDOVER
+
+        # Who is there at the first or at the last moment stays for longer than is seen.
+        stays = [observed.time_step * moments for member in is_member.T for moments in _completed_runs(member)]
+        durations += stays
+        unlike += sum(not shortest - observed.time_step <= stay <= longest + HANDOVER for stay in stays)
         leaves += int((is_member[:-1] & ~is_member[1:]).sum())
-        group_moments += len(is_member)
 
         # One person alone has no o-space.
-        distance = np.linalg.norm(observed.position - center, axis=-1)  # (T, N) m
-        is_inside = (distance < O_SPACE * radius) & observed.present & ~is_member
+        distance = np.linalg.norm(observed.position - gathered.center[index], axis=-1)  # (T, N) m
+        is_inside = (distance < O_SPACE * gathered.radius[index]) & observed.present & ~is_member
         is_group = is_member.sum(1) >= 2
         occupied += int(is_group.sum())
         intruded += int((is_inside.any(1) & is_group).sum())
 
-    stays = np.array(durations or [np.nan])  # s
+    # Without a completed stay, values of stays are NaN.
+    values = np.array(durations or [np.nan])
+    is_short = np.where(np.isnan(values), np.nan, values < SHORT_STAY)
+    minutes = len(gathered.visit) * len(observed.present) * observed.time_step / MINUTE
     return GroupLife(
         stays=float(len(durations)),
-        mean_stay=float(stays.mean()),
-        shortest_stay=float(stays.min()),
-        longest_stay=float(stays.max()),
-        short_stays=float(np.where(np.isnan(stays), np.nan, stays < SHORT_STAY).mean()),
-        unlike_graph=unlike / len(durations) if durations else float("nan"),
-        changes=_rate(leaves, group_moments * observed.time_step / MINUTE),
-        intruded=intruded / occupied if occupied else float("nan"),
+        mean_stay=float(values.mean()),
+        shortest_stay=float(values.min()),
+        longest_stay=float(values.max()),
+        short_stays=float(is_short.mean()),
+        unlike_graph=_rate(unlike, len(durations)),
+        changes=_rate(leaves, minutes),
+        intruded=_rate(intruded, occupied),
     )
 
 

@@ -5,6 +5,7 @@ to -4 m, to an exit at its end. Until ``FREE_FROM`` they are moved as recorded, 
 follows, such as a queue before the exit, has to come from the model.
 """
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from sean_jax.studies.scenes import Gate, Model, Scene, box, scenario_of, stage,
 from sean_jax.studies.scenes.scene import TIME_STEP
 from sean_jax.studies.scenes.simulation import advance
 from sean_jax.studies.scenes.walkers import NEVER, Memory
-from sean_jax.studies.validation.checks import CheckContext, CheckResult, Skipped, curve, reference, result
+from sean_jax.studies.validation.checks import CheckContext, CheckResult, Skipped, by_name, curve, reference, result
 from sean_jax.studies.validation.crowds import STEADY, TOLERANCE, hermes_speeds
 from sean_jax.studies.validation.measures import SPEED_SPAN, area_series, crossing_times, first_and_last, flow, pedpy
 
@@ -33,6 +34,7 @@ BEHIND = 2.0  # m behind the exit people leave
 WALL = 0.2  # m, thickness
 FLOOR = 0.0, EXIT, WIDTH, 4.0
 SLICES = 2.0, 0.5, -1.0, -2.5, EXIT  # m, y of the borders of the parts in which people are measured
+MIDDLES = tuple(0.5 * (upper + lower) - EXIT for upper, lower in itertools.pairwise(SLICES))  # m before the exit
 FRAME_RATE = 16.0  # of the numbers of frames in the files
 ROWS = 5  # moments, 0.1 s, from one that is measured to the next
 DRAWS = 3  # of free speeds and differences
@@ -40,7 +42,7 @@ SPREAD = 0.7, 1.3  # times the recorded deviation of speeds
 
 
 @dataclass(frozen=True)
-class Run:
+class RecordedRun:
     """A recorded run: T moments, 0.1 s apart, of its N people, who walk along -y."""
 
     name: str
@@ -62,7 +64,7 @@ class Passage(NamedTuple):
 # ------------------------------------------------------------------ runs
 
 
-def runs(folder: Path) -> list[Run]:
+def runs(folder: Path) -> list[RecordedRun]:
     """The runs in a folder of which the steady frames are known.
 
     Raises:
@@ -74,7 +76,7 @@ def runs(folder: Path) -> list[Run]:
     return found
 
 
-def read_run(path: Path, steady: Iterable[int]) -> Run:
+def read_run(path: Path, steady: Iterable[int]) -> RecordedRun:
     """A run in a file of project Hermes, whose name ends with the width of the exit [cm], as ``uo-180-180-095``.
 
     Args:
@@ -87,7 +89,7 @@ def read_run(path: Path, steady: Iterable[int]) -> Run:
     name = path.stem.split("_")[0]
     frames = np.asarray(recorded.frame)
     begin, end = (round((frame - frames[0]) / FRAME_RATE / TIME_STEP) for frame in steady)
-    return Run(name, float(name.split("-")[-1]) / 100.0, resampled(recorded), slice(begin, end))
+    return RecordedRun(name, float(name.split("-")[-1]) / 100.0, resampled(recorded), slice(begin, end))
 
 
 def resampled(tracks: Tracks) -> Tracks:
@@ -120,7 +122,7 @@ def _tracks(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N
     )
 
 
-def corridor_of(run: Run, seed: int) -> Scene:
+def corridor_of(run: RecordedRun, seed: int) -> Scene:
     """The corridor of a run and its exit, with people whose free speeds are drawn."""
     middle = WIDTH / 2.0
     half = run.exit_width / 2.0
@@ -154,7 +156,7 @@ class RecordedEntries:
     recorded: Bool[Array, "T N"]  # whether the recording moves a person
 
 
-def recorded_entries(scenario: Scenario, run: Run) -> Scenario:
+def recorded_entries(scenario: Scenario, run: RecordedRun) -> Scenario:
     """The scenario of a run's corridor, whose people come as recorded until ``FREE_FROM``."""
     velocity, _ = motion_between_rows(run.tracks)
     position = np.asarray(run.tracks.position)
@@ -199,7 +201,7 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     return replace(state, pedestrians=people)
 
 
-def walk_on(run: Run, model: Model, seed: int) -> tuple[Scene, Tracks]:
+def walk_on(run: RecordedRun, model: Model, seed: int) -> tuple[Scene, Tracks]:
     """The corridor of a run, and its people, who are simulated from ``FREE_FROM`` on."""
     scene = corridor_of(run, seed)
     scenario = recorded_entries(scenario_of(scene, model), run)
@@ -235,7 +237,7 @@ def measure(tracks: Tracks, steady: slice) -> Passage:
     rows = slice(steady.start, steady.stop, ROWS * 2)
     density = []
     speeds = []
-    for upper, lower in zip(SLICES, SLICES[1:], strict=False):
+    for upper, lower in itertools.pairwise(SLICES):
         values = area_series(tracks, FLOOR, (0.0, lower, WIDTH, upper), rows)  # (K, 2)
         density.append(values[:, 0].mean())
         speeds.append(np.nanmean(values[:, 1]))
@@ -299,36 +301,28 @@ def walk_runs_again(context: CheckContext) -> CheckResult:
 
 def compare_passages(known: dict[str, Passage], walked: dict[str, Passage]) -> CheckResult:
     """The result of runs by name, recorded and walked again."""
-    least, most = SPREAD
     misses = []
     words = []
     numbers = {}
     curves = []
     for name, recorded in known.items():
         again = walked[name]
-        off = {what: getattr(again, what) / getattr(recorded, what) - 1.0 for what in ("speed", "flow")}
-        off["density"] = float(again.density.mean() / recorded.density.mean() - 1.0)
-        profile = again.density / recorded.density - 1.0  # (P,)
-        spread = again.deviation / recorded.deviation
+        change = changes(recorded, again)
+        misses += [f"{name} {what}" for what in _missed(change)]
 
-        missed = [what for what, value in off.items() if abs(value) > TOLERANCE]
-        missed += ["profile"] if np.abs(profile).max() > TOLERANCE else []
-        missed += [] if least <= spread <= most else ["deviation"]
-        misses += [f"{name} {what}" for what in missed]
-
-        numbers |= {f"{what}_{name}": float(value) for what, value in off.items()}
-        numbers |= {f"profile_{k + 1}_{name}": float(value) for k, value in enumerate(profile)}
-        numbers |= {f"spread_{name}": float(spread)}
+        profile = ", ".join(f"{value:+.0%}" for value in change.profile)
         words.append(
-            f"{name}: speed {off['speed']:+.0%} of {recorded.speed:.2f} m/s, density {off['density']:+.0%} of "
-            f"{recorded.density.mean():.2f} /m² ({', '.join(f'{value:+.0%}' for value in profile)} towards the exit), "
-            f"flow {off['flow']:+.0%} of {recorded.flow:.2f} /s, deviation of speeds {spread:.2f} times "
-            f"{recorded.deviation:.2f} m/s"
+            f"{name}: speed {change.speed:+.0%} of {recorded.speed:.2f} m/s, density {change.density:+.0%} of "
+            f"{recorded.density.mean():.2f} /m² ({profile} towards the exit), flow {change.flow:+.0%} of "
+            f"{recorded.flow:.2f} /s, deviation of speeds {change.spread:.2f} times {recorded.deviation:.2f} m/s"
         )
-        middle = [0.5 * (upper + lower) - EXIT for upper, lower in zip(SLICES, SLICES[1:], strict=False)]
-        curves.append(curve(name, middle, again.density))
-        curves.append(reference(f"{name}, recorded", middle, recorded.density))
+        numbers |= by_name(f"profile_{name}_", MIDDLES, change.profile)
+        for what in ("speed", "density", "flow", "spread"):
+            numbers[f"{what}_{name}"] = getattr(change, what)
+        curves.append(curve(name, MIDDLES, again.density))
+        curves.append(reference(f"{name}, recorded", MIDDLES, recorded.density))
 
+    least, most = SPREAD
     wanted = f"speed, density, each part of it and flow within {TOLERANCE:.0%}, deviation {least:g} to {most:g} times"
     if misses:
         wanted += f" (missed: {', '.join(misses)})"
@@ -340,3 +334,35 @@ def compare_passages(known: dict[str, Passage], walked: dict[str, Passage]) -> C
         curves=tuple(curves),
         axes=("distance to the exit [m]", "density [1/m²]"),
     )
+
+
+class Changes(NamedTuple):
+    """What is different in a run that is walked again, as shares of the recorded values."""
+
+    speed: float
+    density: float
+    flow: float
+    spread: float  # times the recorded deviation of speeds
+    profile: Float[np.ndarray, "P"]  # of the densities towards the exit
+
+
+def changes(recorded: Passage, again: Passage) -> Changes:
+    """The changes from a recorded to a simulated passage."""
+    return Changes(
+        speed=again.speed / recorded.speed - 1.0,
+        density=float(again.density.mean() / recorded.density.mean() - 1.0),
+        flow=again.flow / recorded.flow - 1.0,
+        spread=again.deviation / recorded.deviation,
+        profile=again.density / recorded.density - 1.0,
+    )
+
+
+def _missed(change: Changes) -> list[str]:
+    """The names of what is not as recorded; NaN is not."""
+    least, most = SPREAD
+    missed = [what for what in ("speed", "density", "flow") if not abs(getattr(change, what)) <= TOLERANCE]
+    if not np.abs(change.profile).max() <= TOLERANCE:
+        missed.append("profile")
+    if not least <= change.spread <= most:
+        missed.append("deviation")
+    return missed

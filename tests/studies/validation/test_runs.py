@@ -24,7 +24,7 @@ def column(speed=1.2, gap=1.5, people=40):
 
 
 def run_of(tracks, width=1.8):
-    return runs.Run("made", width, tracks, STEADY)
+    return runs.RecordedRun("made", width, tracks, STEADY)
 
 
 def test_people_come_as_recorded_and_are_free_from_the_line_on():
