@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -9,7 +10,7 @@ from sean_jax.studies.scenes import model
 from sean_jax.studies.validation import runs
 from sean_jax.studies.validation.checks import CheckContext, Skipped
 from support.files import write
-from support.tracks import straight, tracks_of
+from support.tracks import moved, straight, tracks_of
 
 STEADY = slice(150, 450)
 
@@ -21,6 +22,14 @@ def column(speed=1.2, gap=1.5, people=40):
     present = (y < 7.5) & (y > -5.5)
     x = 0.9 + 0.2 * (-1.0) ** np.arange(people)
     return tracks_of(np.stack([np.broadcast_to(x, y.shape), y], -1), present)
+
+
+def lanes_at_two_speeds(scenario, state):
+    """Walks at 1 m/s on one side of the corridor, and at 1.4 m/s on the other."""
+    people = state.pedestrians
+    speed = jnp.where(people.position[:, :1] > 0.9, 1.0, 1.4)
+    way = jnp.asarray([[0.0, -1.0]])
+    return moved(people, jnp.where(people.present[:, None], speed * way, 0.0), scenario.time_step)
 
 
 def run_of(tracks, width=1.8):
@@ -82,6 +91,28 @@ def test_a_file_is_sampled_and_knows_its_exit(tmp_path):
     position, present = np.asarray(run.tracks.position), np.asarray(run.tracks.present)
     assert position[:, 0, 1][present[:, 0]] == pytest.approx(7.5 - 0.12 * np.arange(present[:, 0].sum()))
     assert present[:, 1].argmax() == 25 and present[:, 1].sum() == pytest.approx(19 * 2.5, abs=1.0)
+
+
+def test_the_check_walks_recordings_again(tmp_path, monkeypatch):
+    pytest.importorskip("pedpy")
+    monkeypatch.setattr(runs, "STEADY", {"uo-180-180-180": [160, 400]})
+    lines = []
+    for number in range(40):
+        speed, x = ((1.0, 1.2), (1.4, 0.6))[number % 2]
+        begin = 32 * (number // 2)
+        moments = [frame for frame in range(begin, 480, 4) if speed * (frame - begin) / 16.0 < 13.0]
+        lines += [f"{frame},{number},{x},{7.5 - speed * (frame - begin) / 16.0}" for frame in moments]
+    path = tmp_path / "juelich" / "uo-180-180-180_4of16fps.csv"
+    write(path, "frame,ped_id,x_m,y_m\n" + "\n".join(lines) + "\n")
+
+    found = {}
+    for walks in (lanes_at_two_speeds, straight):
+        context = CheckContext(model(walks), quick=True, data=tmp_path)
+        found[walks] = runs.walk_runs_again(context)
+        assert [caption for caption, *_ in context.pictures] == ["uo-180-180-180"]
+    assert found[lanes_at_two_speeds].passed, found[lanes_at_two_speeds].reason
+    assert found[lanes_at_two_speeds].numbers["speed_uo-180-180-180"] == pytest.approx(0.0, abs=0.02)
+    assert not found[straight].passed and "speed" in found[straight].reason
 
 
 def test_runs_are_skipped_where_there_are_none(tmp_path):
