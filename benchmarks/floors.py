@@ -9,6 +9,7 @@ Rates are per person-minute. In the draws of the door a robot stands 0.3 to 0.6 
 import json
 from pathlib import Path
 
+import numpy as np
 from options import Option, parse
 
 import sean_jax
@@ -32,7 +33,7 @@ def main() -> None:
             scenario = sean_jax.make(environment, behavior="graph", routing=routing)
             seen, gathered = observe(scenario, options.seconds)
             measures = liveliness(seen)._asdict() | group_life(seen, gathered)._asdict()
-            values = {name: round(float(value), 4) for name, value in measures.items()}
+            values = {name: round(float(value), 4) for name, value in measures.items() if np.isfinite(value)}
             values |= {"in_groups": float((gathered.group >= 0).sum(1).mean()), "cells": len(used_cells(seen))}
             figures[f"{environment} {routing}"] = values
             print(environment, routing, json.dumps(values))
