@@ -329,10 +329,12 @@ def stop_and_go(context: CheckContext) -> CheckResult:
         mean, waves = _mean_motion(draws)
         known_speed, known_deviation, known_delay, known_wave = WAVES[number]
         as_wide = abs(mean.deviation / known_deviation - 1.0) <= WAVE_TOLERANCE
-        as_fast = abs(mean.wave - known_wave) <= WAVE_SPEED_TOLERANCE  # not where there is no wave
 
         # The recorded wave is by the same correlation; the jams that its authors follow move backwards at 0.4 m/s.
-        passed.append(as_wide and as_fast)
+        # Without a wave both are NaN, and neither is as recorded.
+        as_fast = abs(mean.wave - known_wave) <= WAVE_SPEED_TOLERANCE
+        as_late = abs(mean.delay / known_delay - 1.0) <= DELAY_TOLERANCE
+        passed.append(as_wide and as_fast and as_late)
         numbers[number] = mean._asdict()
 
         wave_words = "no wave in all draws"
