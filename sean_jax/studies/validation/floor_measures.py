@@ -1,4 +1,4 @@
-"""Measures of how people walk about a floor: half turns, curves, heads, standstill, and the floor that they use.
+"""Measures of how people walk about a floor: half turns, curves, heads, standstill, groups, and the floor they use.
 
 The same detectors see recorded and simulated people, so that their values can stand beside each other. All of them take
 an ``Observed`` crowd, in numpy.
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter1d
 
 WAY = 2.0  # s before and after a moment, whose ways are compared
@@ -25,6 +25,10 @@ STUCK_TIME = 10.0  # s
 STUCK_WAY = 1.0  # m in that time
 SLOW_WAY = 3.0  # m in that time
 HARD = 8.0  # m/s2
+SHORT_STAY = 30.0  # s in a group
+HANDOVER = 5.0  # s, for which a member who would go waits for a successor
+SOON = 10.0  # s, in which a person comes back through a door
+O_SPACE = 0.7  # of the radius of a group's ring
 MINUTE = 60.0  # s
 
 
@@ -52,6 +56,28 @@ class Liveliness(NamedTuple):
     stuck_share: float  # of the moments of people who do not stand
     slow_share: float
     longest_standstill: float  # s, of a person who does not stand
+
+
+class GatheredPeople(NamedTuple):
+    """The G conversational groups of a floor at ``T`` moments, ``time_step`` s apart."""
+
+    group: Int[np.ndarray, "T N"]  # of each person, -1 none
+    center: Float[np.ndarray, "G 2"]  # m, of the o-space
+    radius: Float[np.ndarray, "G"]  # m, of the ring on which members stand
+    visit: Float[np.ndarray, "G 2"]  # s, the shortest and the longest stay that the graph has
+
+
+class GroupLife(NamedTuple):
+    """How long people stay in groups, and how often others walk through them; NaN where nothing counts."""
+
+    stays: float  # completed ones
+    mean_stay: float  # s, of completed stays
+    shortest_stay: float  # s
+    longest_stay: float  # s
+    short_stays: float  # share of completed stays below ``SHORT_STAY``
+    unlike_graph: float  # share of completed stays that the graph does not have, with ``HANDOVER``
+    changes: float  # people who leave a group, a group-minute
+    intruded: float  # share of the moments of groups at which a non-member is within ``O_SPACE`` radii of the center
 
 
 def liveliness(observed: Observed) -> Liveliness:
@@ -194,6 +220,73 @@ def standstill(observed: Observed) -> tuple[float, float, float]:
     return stuck / counted, slow / counted, longest * observed.time_step
 
 
+def group_life(observed: Observed, gathered: GatheredPeople) -> GroupLife:
+    """Stays that begin and end while people are observed, and non-members in the o-spaces of two or more members."""
+    durations: list[float] = []  # s
+    unlike, leaves, occupied, intruded = 0, 0, 0, 0
+    for index, (shortest, longest) in enumerate(gathered.visit):
+        is_member = (gathered.group == index) & observed.present
+
+        # Who is there at the first or at the last moment stays for longer than is seen.
+        stays = [observed.time_step * moments for member in is_member.T for moments in _completed_runs(member)]
+        durations += stays
+        unlike += sum(not shortest - observed.time_step <= stay <= longest + HANDOVER for stay in stays)
+        leaves += int((is_member[:-1] & ~is_member[1:]).sum())
+
+        # One person alone has no o-space.
+        distance = np.linalg.norm(observed.position - gathered.center[index], axis=-1)  # (T, N) m
+        is_inside = (distance < O_SPACE * gathered.radius[index]) & observed.present & ~is_member
+        is_group = is_member.sum(1) >= 2
+        occupied += int(is_group.sum())
+        intruded += int((is_inside.any(1) & is_group).sum())
+
+    # Without a completed stay, values of stays are NaN.
+    values = np.array(durations or [np.nan])
+    is_short = np.where(np.isnan(values), np.nan, values < SHORT_STAY)
+    minutes = len(gathered.visit) * len(observed.present) * observed.time_step / MINUTE
+    return GroupLife(
+        stays=float(len(durations)),
+        mean_stay=float(values.mean()),
+        shortest_stay=float(values.min()),
+        longest_stay=float(values.max()),
+        short_stays=float(is_short.mean()),
+        unlike_graph=_rate(unlike, len(durations)),
+        changes=_rate(leaves, minutes),
+        intruded=_rate(intruded, occupied),
+    )
+
+
+def longest_near(observed: Observed, place: Float[np.ndarray, "2"], distance: float) -> float:
+    """The longest time [s] for which a person stays within a distance [m] of a place [m]."""
+    gap = np.linalg.norm(observed.position - place, axis=-1)  # (T, N) m
+    near = observed.present & (gap < distance)
+    return max(_longest_run(flags) for flags in near.T) * observed.time_step
+
+
+def passes(observed: Observed, left: Float[np.ndarray, "2"], right: Float[np.ndarray, "2"]) -> tuple[int, int]:
+    """How often people cross the line between two points [m] in either direction; and how often they cross it and soon
+    come back.
+    """
+    side = right - left
+    width = np.hypot(*side)
+    along_x, along_y = side / width
+    gap = observed.position - left  # (T, N, 2) m
+    along = gap[..., 0] * along_x + gap[..., 1] * along_y
+    is_beyond = gap[..., 1] * along_x - gap[..., 0] * along_y > 0.0
+    within = (along > 0.0) & (along < width) & observed.present
+    crosses = (is_beyond[1:] != is_beyond[:-1]) & within[1:] & within[:-1]
+
+    # Who turns round behind the line has not passed: neither crossing counts.
+    returns = 0
+    for flags in crosses.T:
+        last = -np.inf
+        for moment in np.flatnonzero(flags):
+            comes_back = (moment - last) * observed.time_step < SOON
+            returns += int(comes_back)
+            last = -np.inf if comes_back else moment
+    return int(crosses.sum()) - 2 * returns, returns
+
+
 def used_cells(observed: Observed, size: float = 1.0) -> set[tuple[int, int]]:
     """The cells of a grid with ``size`` [m] in which people walk."""
     walks = observed.present & ~observed.standing
@@ -204,6 +297,15 @@ def used_cells(observed: Observed, size: float = 1.0) -> set[tuple[int, int]]:
 def _count_runs(flags: Bool[np.ndarray, "K"]) -> int:
     """The number of uninterrupted runs of true values."""
     return int((np.diff(np.pad(flags.astype(np.int8), 1)) > 0).sum())
+
+
+def _completed_runs(flags: Bool[np.ndarray, "K"]) -> list[int]:
+    """The lengths of the runs of true values that begin after the first moment and end before the last."""
+    change = np.diff(flags.astype(np.int8))
+    begins = np.flatnonzero(change > 0)
+    ends = np.flatnonzero(change < 0)
+    ends = ends[ends > begins[0]] if len(begins) else ends[:0]
+    return (ends - begins[: len(ends)]).tolist()
 
 
 def _longest_run(flags: Bool[np.ndarray, "K"]) -> int:

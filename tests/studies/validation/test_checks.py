@@ -30,14 +30,25 @@ def shifted(scenario, state):
     return moved(people, people.desired_velocity + 0.38 * right, scenario.time_step)
 
 
-def by_density(scenario, state):
-    """Walks as fast as people in Juelich do at the density of everybody, who are there twice: with their images."""
-    people = state.pedestrians
-    density = people.present.astype(float).sum() / (2.0 * AREA)
-    known = crowds.JUELICH["speed"]
-    speed = jnp.interp(density, jnp.asarray([*known]), jnp.asarray([*known.values()]))
-    way = people.desired_velocity / people.preferred_speed[:, None]
-    return moved(people, speed * way, scenario.time_step)
+def by_density(spread):
+    """Walks as fast as people in Juelich do at the density of everybody, faster and slower by turns in 5 s.
+
+    Speeds spread so many times as much as theirs. People are there twice: with their images.
+    """
+
+    def walks(scenario, state):
+        people = state.pedestrians
+        density = people.present.astype(float).sum() / (2.0 * AREA)
+        speed, low, high = (
+            jnp.interp(density, jnp.asarray([*known]), jnp.asarray([*known.values()]))
+            for known in (crowds.JUELICH[what] for what in ("speed", "percentile_10", "percentile_90"))
+        )
+        phase = 2.0 * jnp.pi * state.tick.astype(float) * scenario.time_step / 5.0
+        speed = speed + spread * (high - low) / 1.8 * jnp.sin(phase)
+        way = people.desired_velocity / people.preferred_speed[:, None]
+        return moved(people, speed * way, scenario.time_step)
+
+    return walks
 
 
 def in_lanes(scenario, state):
@@ -68,8 +79,12 @@ def context(function, **more):
 def test_speeds_of_juelich_pass_and_free_speeds_do_not(monkeypatch):
     pytest.importorskip("pedpy")
     monkeypatch.setattr(crowds, "FEW", (0.5, 1.0, 1.5))
-    found = crowds.corridor_diagram(context(by_density))
+    found = crowds.corridor_diagram(context(by_density(1.0)))
     assert found.passed, found.reason
+    monkeypatch.setattr(crowds, "FEW", (1.0, 1.5))
+    for spread in (0.5, 2.0):  # means are the same
+        other = crowds.corridor_diagram(context(by_density(spread)))
+        assert not other.passed and other.numbers["speed_1"] == pytest.approx(crowds.juelich([1.0])[0], rel=0.01)
     for density in crowds.FEW:
         assert found.numbers[f"speed_{density:g}"] == pytest.approx(crowds.juelich([density])[0], rel=0.01)
         assert found.numbers[f"density_{density:g}"] == pytest.approx(density, rel=0.2)
@@ -137,14 +152,14 @@ def test_speeds_that_change_as_recorded_pass_and_a_lattice_does_not():
 
 
 def test_draws_without_a_wave_do_not_count_in_the_wave_of_the_others(monkeypatch):
-    def stop_and_go(still):
-        """The check on the recorded motions, except that draws of these indices have no wave."""
+    def stop_and_go(still, late=1.0):
+        """The check on the recorded motions; draws of these indices have no wave, delays are so many times as long."""
         draws = iter([draw for _ in crowds.WAVES for draw in range(4)])
 
         def file_motion(scene):
             speed, deviation, delay, wave = crowds.WAVES[len(scene.walkers.start)]
             draw = next(draws)
-            moved = [np.nan] * 3 if draw in still else [0.5, delay + 0.1 * draw, wave]
+            moved = [np.nan] * 3 if draw in still else [0.5, late * delay + 0.1 * draw, wave]
             return np.full((5, 3), speed), crowds.FileMotion(speed, deviation, *moved)
 
         monkeypatch.setattr(CheckContext, "simulate", lambda self, scenes, captions: scenes)
@@ -157,6 +172,8 @@ def test_draws_without_a_wave_do_not_count_in_the_wave_of_the_others(monkeypatch
     assert found.numbers["wave_45"] == pytest.approx(crowds.WAVES[45][3])
     assert found.numbers["delay_45"] == pytest.approx(crowds.WAVES[45][2] + 0.1 * (0 + 2 + 3) / 3)
 
+    for late in (0.5, 1.4):
+        assert not stop_and_go(set(), late).passed
     everywhere, nowhere = stop_and_go(set()), stop_and_go({0, 1, 2, 3})
     assert everywhere.passed and "draws" not in everywhere.measured
     assert not nowhere.passed and "no wave in all draws" in nowhere.measured and np.isnan(nowhere.numbers["wave_45"])
