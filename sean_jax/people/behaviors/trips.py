@@ -21,7 +21,7 @@ from sean_jax.core.data_types import Array, Pedestrians, Robot, Scenario
 from sean_jax.core.geometry import length, unit
 from sean_jax.graph import BehaviorGraph
 from sean_jax.people.behaviors import graph_choices
-from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above
+from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above, next_nodes, taste_of
 from sean_jax.people.behaviors.starts import follow_leaders
 from sean_jax.social_forces.forces import components
 
@@ -126,14 +126,19 @@ def choosers(candidates: Bool[Array, "N"]) -> Choosers:
     return Choosers(person, exists, row, chooses)
 
 
-def begin(memory: GraphMemory, people: int) -> TripMemory:
+def begin(graph: BehaviorGraph, memory: GraphMemory, people: int, key: Array) -> TripMemory:
     """The memory at the start of an episode: people without a seat choose a goal in the first step."""
     errand = jnp.where(memory.seat < 0, 1, 0)
+    taste = None
+    if graph.tastes is not None:
+        n_tastes = graph.tastes.factor.shape[0]
+        taste = jax.random.randint(key, (people,), 0, n_tastes, jnp.int32)
     return TripMemory(
         errand=errand.astype(jnp.int32),
         visited=jnp.full((people, 2), -1, jnp.int32),
         intent=jnp.zeros((people, 2), float),
         blocked=jnp.zeros(people, float),
+        taste=taste,
     )
 
 
@@ -227,7 +232,7 @@ def passes(graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory) -> Bo
 
 def _node_after_hop(graph: BehaviorGraph, memory: GraphMemory) -> Int[Array, "N"]:
     """The node after the next, or the next one if that is the goal."""
-    node = graph.next_hop[memory.hop, memory.goal]
+    node = next_nodes(graph, memory, memory.hop, memory.goal)
     return jnp.where(node >= 0, node, memory.hop)
 
 
@@ -235,8 +240,8 @@ def _node_after_hop(graph: BehaviorGraph, memory: GraphMemory) -> Int[Array, "N"
 class Bearings:
     """Directions from each node to the first node on the way to others, unit vectors."""
 
-    to_waypoints: Float[Array, "M Mw 2"]
-    to_groups: Float[Array, "M G 2"]
+    to_waypoints: Float[Array, "T M Mw 2"]  # by each taste, or with T = 1 on the cheapest path
+    to_groups: Float[Array, "T M G 2"]
 
 
 def bearings(graph: BehaviorGraph) -> Bearings:
@@ -246,15 +251,16 @@ def bearings(graph: BehaviorGraph) -> Bearings:
     return Bearings(to_waypoints, to_groups)
 
 
-def _bearings_to(graph: BehaviorGraph, goals: Int[Array, "K"]) -> Float[Array, "M K 2"]:
+def _bearings_to(graph: BehaviorGraph, goals: Int[Array, "K"]) -> Float[Array, "T M K 2"]:
     """Unit vectors from each node to the first node on the way to each goal."""
-    first = graph.next_hop[:, goals]  # (M, K)
-    first = jnp.where(first >= 0, first, goals[None, :])
-    way = graph.position[first] - graph.position[:, None]  # (M, K, 2) m
+    next_hop = graph.next_hop[None] if graph.tastes is None else graph.tastes.next_hop
+    first = next_hop[:, :, goals]  # (T, M, K)
+    first = jnp.where(first >= 0, first, goals[None, None, :])
+    way = graph.position[first] - graph.position[None, :, None]  # (T, M, K, 2) m
     return jnp.stack(unit(*components(way)), -1)
 
 
-def turns_back(memory: GraphMemory, bearing: Float[Array, "M K 2"]) -> Bool[Array, "N K"]:
+def turns_back(memory: GraphMemory, bearing: Float[Array, "T M K 2"]) -> Bool[Array, "N K"]:
     """Whether people would turn back at their next node to go to each of some nodes. Who stands may go anywhere.
 
     Args:
@@ -263,7 +269,9 @@ def turns_back(memory: GraphMemory, bearing: Float[Array, "M K 2"]) -> Bool[Arra
     assert memory.trip is not None
     intent_x, intent_y = components(memory.trip.intent)
     x, y = unit(intent_x, intent_y)
-    way_x, way_y = components(bearing[memory.hop])  # (N, K)
+    taste = taste_of(memory)
+    taste = jnp.zeros_like(memory.hop) if taste is None else taste
+    way_x, way_y = components(bearing[taste, memory.hop])  # (N, K)
     cosine = x[:, None] * way_x + y[:, None] * way_y
 
     # Who rises from a seat has neither a stay nor an errand any more, and stands at the goal.
@@ -582,7 +590,7 @@ def _place_new(
         velocity=jnp.where(column, 0.0, people.velocity),
         desired_velocity=jnp.where(column, 0.0, people.desired_velocity),
     )
-    trip = TripMemory(
+    trip = memory.trip._replace(
         errand=jnp.where(is_new, 1, memory.trip.errand),
         visited=jnp.where(column, -1, memory.trip.visited),
         intent=jnp.where(column, 0.0, memory.trip.intent),
