@@ -50,6 +50,18 @@ class Tastes:
 
 
 @struct.dataclass
+class Timetable:
+    """When people come in: ``I`` intervals in which entrances are open, and ``B`` buses. Others are always open."""
+
+    open_node: Int[Array, "I"] = struct.field(metadata={"pad": -1})  # the entrance
+    open: Float[Array, "I 2"]  # s of the episode, begin and end
+    bus_node: Int[Array, "B"] = struct.field(metadata={"pad": -1})  # the entrance, at which nobody else comes in
+    every: Float[Array, "B"] = struct.field(metadata={"pad": 1.0})  # s, between two buses
+    first: Float[Array, "B"]  # s of the episode
+    people: Int[Array, "B"]  # in each bus
+
+
+@struct.dataclass
 class BehaviorGraph:
     """``M`` nodes: ``Mw`` waypoints, and ``G`` groups with ``Q`` seats together; ``P`` places a node."""
 
@@ -60,7 +72,9 @@ class BehaviorGraph:
     stay: Float[Array, "M 2"]  # s, minimum and maximum of the time spent at a group, 0 for a waypoint
     visit: Float[Array, "M 2"]  # s, the same on trips
     errand: Float[Array, "M 2"]  # s, minimum and maximum of the time spent at a waypoint on trips, 0 for a group
-    entrance: Float[Array, "M"]  # people/s who come in at the node on trips; people also leave where it is above 0
+    # people/s who come in at the node on trips, of a bus on average; people also leave where it is above 0
+    entrance: Float[Array, "M"]
+    timetable: Timetable
     spawn: Float[Array, "M"]  # weight of the node as a start, relative to the other nodes
     weight: Float[Array, "M"]  # chance with which a waypoint is drawn as a goal, relative to the others; 0 for a group
     # index into FLOWS of the edge from row to column, NO_EDGE without an edge

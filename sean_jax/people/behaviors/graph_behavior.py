@@ -226,7 +226,8 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, GraphMem
         memory = memory._replace(log_chance=jnp.zeros((), float))
 
     if scenario.behavior.direct == direct_trips:
-        memory = memory._replace(trip=trips.begin(graph, memory, scenario.people, taste_key))
+        trip = trips.begin(graph, memory, scenario.people, taste_key)
+        memory = memory._replace(trip=trip, passengers=jnp.zeros_like(graph.timetable.people))
 
     # Edge by edge nobody is sent ahead of time. Else a first stay may end before anyone could be there.
     if scenario.behavior.direct != direct_edge_by_edge:
@@ -330,7 +331,8 @@ def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
     # Who leaves in this step does not come in at once.
     outside = ~state.pedestrians.present
     people = trips.leave(tables.graph, state.pedestrians, state.memory)
-    people, memory = trips.come_in(scenario, tables.graph, people, state.robot, state.memory, outside, chance.arrival)
+    state = replace(state, pedestrians=people)
+    people, memory = trips.come_in(scenario, tables.graph, state, outside, chance.arrival)
     state = replace(state, pedestrians=people, memory=memory)
     graph = _graph_with_congestion(tables, state)
 

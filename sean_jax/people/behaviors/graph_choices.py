@@ -189,6 +189,7 @@ class GraphMemory(NamedTuple):
     seat_heading: Float[Array, "Q 2"]  # unit vector
     log_chance: Float[Array, ""] | None = None  # of all choices so far; None without a temperature
     trip: TripMemory | None = None  # of ``routing="trips"``
+    passengers: Int[Array, "B"] | None = None  # of each bus, who have still to come in; on trips
 
     def with_choices(self, log_chance: Float[Array, ""]) -> "GraphMemory":
         """The memory after further choices, whose log chances add up to ``log_chance``."""
