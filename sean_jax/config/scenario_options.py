@@ -66,6 +66,9 @@ class GraphBehavior(Component):
     try 10."""
     temperature: option_types.RouteTemperature = 0.0
     """Softmax temperature in metres over the lengths of routes; 0: always the shortest route."""
+    taste: option_types.Taste = 0.1
+    """How much people's costs of an edge differ on trips (standard deviation of the log); 0: all take the cheapest
+    route."""
     walking_groups: option_types.WalkingGroups = (0.0, 0.0)
 
 

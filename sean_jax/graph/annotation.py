@@ -4,7 +4,7 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -12,12 +12,13 @@ import numpy as np
 import pydantic
 from jaxtyping import Bool, Float
 
-from sean_jax.core.bounds import Coordinate, Duration, Radius, RelativeChance
+from sean_jax.core.bounds import MAX_DURATION, Coordinate, Duration, Radius, RelativeChance
 from sean_jax.core.data_types import Array, Environment, Obstacles
 from sean_jax.core.devices import to_device
 from sean_jax.core.geometry import crosses_box, signed_distances_on_host
+from sean_jax.core.messages import shorten
 from sean_jax.core.padding import in_programs
-from sean_jax.graph.behavior_graph import FLOWS, NO_EDGE, BehaviorGraph, routes
+from sean_jax.graph.behavior_graph import FLOWS, NO_EDGE, BehaviorGraph, Timetable, routes
 from sean_jax.graph.formation import reach
 from sean_jax.io import cache, files
 
@@ -38,6 +39,52 @@ FULL_ROUNDS = 4  # with candidates from the whole disc, before discs shrink
 SHRINK = 0.7  # of the disc's radius, each later round
 
 
+class Bus(pydantic.BaseModel):
+    """A bus, train or lift that brings people again and again."""
+
+    model_config = STRICT
+
+    every: Annotated[float, pydantic.Field(ge=1, le=MAX_DURATION)]  # s
+    people: Annotated[int, pydantic.Field(ge=1, le=1_000)]  # in each, at most
+    first: Duration = 0.0  # s, of the episode
+
+
+class Entrance(pydantic.BaseModel):
+    """How people come in. In a file, ``true`` is an entrance without further keys, and a number its rate."""
+
+    model_config = STRICT
+
+    rate: Rate | None = None  # people/s; None: ``RATE``
+    # s of the episode, begin and end of each interval in which somebody comes in; None: always
+    times: Annotated[list[list[Duration]], pydantic.Field(min_length=1, max_length=100)] | None = None
+    bus: Bus | None = None  # instead of a rate
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _of_short_form(cls, value: Any) -> Any:
+        if isinstance(value, bool):
+            return {}
+        if isinstance(value, int | float):
+            return {"rate": value}
+        if not isinstance(value, dict | Entrance):
+            raise ValueError(
+                f"{shorten(repr(value))} is not an entrance; write true, a number of people/s or a mapping"
+            )
+        return value
+
+    @property
+    def mean_rate(self) -> float:
+        """People/s who come in while it is open, of a bus on average."""
+        if self.bus is not None:
+            return self.bus.people / self.bus.every
+        return RATE if self.rate is None else self.rate
+
+
+def _none_for_zero(value: Any) -> Any:
+    """None in place of ``false`` and of a rate of 0."""
+    return None if isinstance(value, int | float) and value == 0 else value
+
+
 class Node(pydantic.BaseModel):
     """A waypoint that people pass, or a group where they stand and talk."""
 
@@ -52,7 +99,7 @@ class Node(pydantic.BaseModel):
     stay: tuple[Duration, Duration] | None = None  # s, minimum and maximum, of a group
     visit: tuple[Duration, Duration] | None = None  # s, the same on trips; None: ``stay``
     errand: tuple[Duration, Duration] | None = None  # s, minimum and maximum, at a waypoint on trips; None: ``ERRAND``
-    entrance: bool | Rate = False  # people/s who come in here on trips, and whether people leave here; True: ``RATE``
+    entrance: Annotated[Entrance | None, pydantic.BeforeValidator(_none_for_zero)] = None  # on trips; None: none
     id: Annotated[int, pydantic.Field(ge=-(2**31), lt=2**31)] | None = None  # number in the source graph
 
 
@@ -160,7 +207,8 @@ def build_graph(annotation: Annotation, environment: Environment | None, seed: i
         stay=np.array([node.stay or (0.0, 0.0) for node in nodes], float),
         visit=np.array([node.visit or node.stay or (0.0, 0.0) for node in nodes], float),
         errand=np.array([_errand(node) for node in nodes], float),
-        entrance=np.array([_entrance(node) for node in nodes], float),
+        entrance=np.array([node.entrance.mean_rate if node.entrance else 0.0 for node in nodes], float),
+        timetable=_timetable(nodes),
         spawn=np.array([node.spawn for node in nodes], float),
         weight=np.array([0.0 if node.kind == "group" else _weight(node) for node in nodes], float),
         flow=flow,
@@ -180,11 +228,25 @@ def _weight(node: Node) -> float:
     return 1.0 if node.weight is None else node.weight
 
 
-def _entrance(node: Node) -> float:
-    """People/s who come in at a node."""
-    if isinstance(node.entrance, bool):
-        return RATE if node.entrance else 0.0
-    return node.entrance
+def _timetable(nodes: list[Node]) -> Timetable:
+    """When people come in at entrances, a row for each interval and each bus."""
+    open_node, times, bus_node, buses = [], [], [], []
+    for index, node in enumerate(nodes):
+        entrance = node.entrance
+        if entrance is not None and entrance.bus is not None:
+            bus_node.append(index)
+            buses.append(entrance.bus)
+        elif entrance is not None and entrance.times is not None:
+            open_node += [index] * len(entrance.times)
+            times += entrance.times
+    return Timetable(
+        open_node=np.array(open_node, np.int32),  # pyright: ignore[reportArgumentType]
+        open=np.array(times, float).reshape(-1, 2),  # pyright: ignore[reportArgumentType]
+        bus_node=np.array(bus_node, np.int32),  # pyright: ignore[reportArgumentType]
+        every=np.array([bus.every for bus in buses], float),  # pyright: ignore[reportArgumentType]
+        first=np.array([bus.first for bus in buses], float),  # pyright: ignore[reportArgumentType]
+        people=np.array([bus.people for bus in buses], np.int32),  # pyright: ignore[reportArgumentType]
+    )
 
 
 def _errand(node: Node) -> tuple[float, float]:
@@ -346,6 +408,21 @@ def _check_waypoint(name: str, node: Node) -> Iterator[files.Problem]:
             yield ("nodes", name, key), text
 
     yield from _check_order(name, "errand", node.errand)
+    if node.entrance is not None:
+        yield from _check_entrance(name, node.entrance)
+
+
+def _check_entrance(name: str, entrance: Entrance) -> Iterator[files.Problem]:
+    location = ("nodes", name, "entrance")
+    for key in ("rate", "times"):
+        if entrance.bus is not None and getattr(entrance, key) is not None:
+            yield (*location, key), "a bus is given as well; remove one of them"
+    for index, interval in enumerate(entrance.times or []):
+        text = _sequence(tuple(interval))
+        if len(interval) != 2:
+            yield (*location, "times", index), f"{text} is not an interval; give its begin and its end, in seconds"
+        elif interval[0] >= interval[1]:
+            yield (*location, "times", index), f"{text} ends before it begins; give the earlier time first"
 
 
 def _check_order(name: str, key: str, limits: tuple[float, float] | None) -> Iterator[files.Problem]:
@@ -469,10 +546,21 @@ def _node_fields(node: Node) -> str:
         fields.append(f"visit: {_sequence(node.visit)}")
     if node.errand is not None:
         fields.append(f"errand: {_sequence(node.errand)}")
-    if node.entrance:
-        is_plain = isinstance(node.entrance, bool)
-        fields.append("entrance: true" if is_plain else f"entrance: {node.entrance:.9g}")
+    if node.entrance is not None:
+        fields.append(f"entrance: {_entrance_text(node.entrance)}")
     return ", ".join(fields)
+
+
+def _entrance_text(entrance: Entrance) -> str:
+    """The value of ``entrance``, in its shortest form."""
+    if entrance.bus is not None:
+        bus = entrance.bus
+        return f"{{bus: {{every: {bus.every:.9g}, people: {bus.people}, first: {bus.first:.9g}}}}}"
+    rate = "" if entrance.rate is None else f"{entrance.rate:.9g}"
+    if entrance.times is None:
+        return rate or "true"
+    times = ", ".join(_sequence(tuple(interval)) for interval in entrance.times)
+    return f"{{rate: {rate}, times: [{times}]}}" if rate else f"{{times: [{times}]}}"
 
 
 def _sequence(values: tuple[float, ...]) -> str:

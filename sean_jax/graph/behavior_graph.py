@@ -8,6 +8,9 @@ assignment model which obviates path enumeration, Transportation Research 5(2), 
 
 In the paper an author directs people away from a congested area by edge weights. With a congestion cost, people avoid
 it by themselves.
+
+All people would take one of two routes that are nearly as long. So people differ in taste: for each taste the costs of
+edges have other factors, and next nodes are those of the cheapest path by these costs.
 """
 
 import math
@@ -20,6 +23,7 @@ from flax import struct
 from jaxtyping import Bool, Float, Int
 
 from sean_jax.core.data_types import Array, Scenario
+from sean_jax.core.devices import to_device
 from sean_jax.core.geometry import length
 
 FLOWS = ("medium", "high", "low", "forward", "backward")
@@ -31,6 +35,30 @@ NO_EDGE = -1
 MIN_COST = 1e-9  # m, in place of a zero, which scipy would take for no edge
 MIN_AREA = 1.0  # m2, of an edge between nodes that coincide
 NEVER = -1e30  # log of a chance of zero; -inf would make gradients NaN
+TASTE_PAIRS = 2  # of tastes that like opposite edges, besides the one of plain costs
+TASTE_SEED = 0  # of the factors, which are equal in all processes
+MAX_DETOUR = 1.3  # cost of a route by taste over that of the cheapest, at most
+
+
+@struct.dataclass
+class Tastes:
+    """Costs and routes by ``T`` tastes, the first of which is plain cost; pairs of the others have inverse factors."""
+
+    factor: Float[Array, "T M M"] = struct.field(metadata={"pad": 1.0})  # by which the cost of an edge is multiplied
+    cost: Float[Array, "T M M"] = struct.field(metadata={"pad": np.inf})  # m, with the factors; as ``BehaviorGraph``'s
+    next_hop: Int[Array, "T M M"] = struct.field(metadata={"pad": -1})
+
+
+@struct.dataclass
+class Timetable:
+    """When people come in: ``I`` intervals in which entrances are open, and ``B`` buses. Others are always open."""
+
+    open_node: Int[Array, "I"] = struct.field(metadata={"pad": -1})  # the entrance
+    open: Float[Array, "I 2"]  # s of the episode, begin and end
+    bus_node: Int[Array, "B"] = struct.field(metadata={"pad": -1})  # the entrance, at which nobody else comes in
+    every: Float[Array, "B"] = struct.field(metadata={"pad": 1.0})  # s, between two buses
+    first: Float[Array, "B"]  # s of the episode
+    people: Int[Array, "B"]  # in each bus
 
 
 @struct.dataclass
@@ -44,7 +72,9 @@ class BehaviorGraph:
     stay: Float[Array, "M 2"]  # s, minimum and maximum of the time spent at a group, 0 for a waypoint
     visit: Float[Array, "M 2"]  # s, the same on trips
     errand: Float[Array, "M 2"]  # s, minimum and maximum of the time spent at a waypoint on trips, 0 for a group
-    entrance: Float[Array, "M"]  # people/s who come in at the node on trips; people also leave where it is above 0
+    # people/s who come in at the node on trips, of a bus on average; people also leave where it is above 0
+    entrance: Float[Array, "M"]
+    timetable: Timetable
     spawn: Float[Array, "M"]  # weight of the node as a start, relative to the other nodes
     weight: Float[Array, "M"]  # chance with which a waypoint is drawn as a goal, relative to the others; 0 for a group
     # index into FLOWS of the edge from row to column, NO_EDGE without an edge
@@ -61,6 +91,7 @@ class BehaviorGraph:
     seat_node: Int[Array, "Q"] = struct.field(metadata={"pad": -1})  # node of each seat
     places: Float[Array, "M P 2"]  # m, points of the node's disc where a person can stand and see its centre
     names: tuple[str, ...] = struct.field(pytree_node=False)
+    tastes: Tastes | None = None  # None: all take the cheapest path
 
     @property
     def nodes(self) -> int:
@@ -124,6 +155,35 @@ def routes(edge_cost: np.ndarray, is_group: np.ndarray) -> tuple[np.ndarray, np.
     np.fill_diagonal(cost, 0.0)
     np.fill_diagonal(next_hop, nodes)
     return cost, next_hop
+
+
+def add_tastes(graph: BehaviorGraph, spread: float) -> BehaviorGraph:
+    """The graph with tastes, on the host: equal graphs have equal ones.
+
+    Factors of edges are lognormal, the same in both directions. None is so far from 1 that a route costs more than
+    ``MAX_DETOUR`` times the cheapest: with factors from 1/s to s, a path that is cheapest by taste costs at most s^2.
+
+    Args:
+        spread: standard deviation of the log of a factor.
+    """
+    edge_cost = np.asarray(graph.edge_cost, np.float64)
+    is_group = np.asarray(graph.is_group)
+    limit = math.log(MAX_DETOUR) / 2.0 * (1.0 - 1e-5)  # rounding included
+    normal = np.random.default_rng(TASTE_SEED).normal(size=(TASTE_PAIRS, *edge_cost.shape))
+    upper = np.triu(np.clip(spread * normal, -limit, limit))
+    log_factor = upper + np.swapaxes(upper, 1, 2)
+
+    # Where one of a pair prefers one of two routes, the other prefers the other.
+    plain = np.zeros((1, *edge_cost.shape))
+    factor = np.exp(np.concatenate([plain, log_factor, -log_factor]))
+    costs = [np.asarray(graph.cost)]
+    next_hops = [np.asarray(graph.next_hop)]
+    for taste in factor[1:]:
+        cost, next_hop = routes(edge_cost * taste, is_group)
+        costs.append(cost)
+        next_hops.append(next_hop)
+    arrays = to_device((factor, np.stack(costs), np.stack(next_hops)))
+    return replace(graph, tastes=Tastes(*arrays))
 
 
 def cheapest_paths(
@@ -211,8 +271,18 @@ def rerouted(
         places = graph.places + shift[:, None]
         graph = replace(graph, position=position, places=places)
     edge_cost = jnp.where(is_edge, edge_cost, jnp.inf)
-    cost, next_hop = cheapest_paths(edge_cost, graph.is_group)
-    return replace(graph, edge_cost=edge_cost, cost=cost, next_hop=next_hop)
+    return _with_costs(graph, edge_cost)
+
+
+def _with_costs(graph: BehaviorGraph, edge_cost: Float[Array, "M M"]) -> BehaviorGraph:
+    """The graph with other costs [m] of edges, and the cheapest paths over them, by each taste."""
+    if graph.tastes is None:
+        cost, next_hop = cheapest_paths(edge_cost, graph.is_group)
+        return replace(graph, edge_cost=edge_cost, cost=cost, next_hop=next_hop)
+    costs_by_taste = edge_cost[None] * graph.tastes.factor
+    cost, next_hop = jax.vmap(cheapest_paths, in_axes=(0, None))(costs_by_taste, graph.is_group)
+    tastes = replace(graph.tastes, cost=cost, next_hop=next_hop)
+    return replace(graph, edge_cost=edge_cost, cost=cost[0], next_hop=next_hop[0], tastes=tastes)
 
 
 def _lengths(position: Float[Array, "M 2"]) -> Float[Array, "M M"]:
@@ -254,5 +324,4 @@ def add_congestion_cost(
         congestion_cost: m2; with 1, an edge with one person per m2 costs twice as much.
     """
     edge_cost = graph.edge_cost * (1.0 + congestion_cost * density)
-    cost, next_hop = cheapest_paths(edge_cost, graph.is_group)
-    return replace(graph, edge_cost=edge_cost, cost=cost, next_hop=next_hop)
+    return _with_costs(graph, edge_cost)

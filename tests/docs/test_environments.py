@@ -21,6 +21,7 @@ MODELS: dict[str, type[pydantic.BaseModel]] = {
     "`environment.yaml`": environment.Settings,
     "`graph.yaml`": graph.Annotation,
     "`nodes.NAME`": graph.Node,
+    "`entrance`": graph.Entrance,
     "`edges[]`": graph.Edge,
     "`trips`": graph.Trips,
     "`handcrafted.yaml`": handcrafted.HandcraftedAnnotation,

@@ -21,7 +21,7 @@ from sean_jax.core.devices import to_device
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import length
 from sean_jax.graph import BehaviorGraph, annotation
-from sean_jax.graph.behavior_graph import add_congestion_cost, edge_densities
+from sean_jax.graph.behavior_graph import add_congestion_cost, add_tastes, edge_densities
 from sean_jax.graph.formation import formation, reach
 from sean_jax.people.behaviors import graph_choices, trips
 from sean_jax.people.behaviors.graph_choices import ARRIVED, Draws, GraphMemory, Seats, of_seat, seats_of
@@ -78,6 +78,7 @@ def build(
     group_membership: str = "turnover",
     congestion_cost: float = 0.0,
     temperature: float = 0.0,
+    taste: float = 0.0,
     walking_groups: tuple[float, float] = (0.0, 0.0),
 ) -> Behavior:
     """People walk, gather and disperse on the Behavior Graph of the environment.
@@ -91,6 +92,7 @@ def build(
             group but one and never leave, and others visit the free seat.
         congestion_cost: m2, increase of the cost of an edge, as a share, for each person per m2 on it.
         temperature: m, softmax temperature over costs of routes; 0: the cheapest one.
+        taste: on trips, standard deviation of the log of the factors by which people's costs of an edge differ.
         walking_groups: shares of the people who walk in pairs and in triples. They walk from waypoint to waypoint and
             take no seats.
 
@@ -110,6 +112,7 @@ def build(
     graph = annotation.read_graph(file, place.environment, trips=routing == "trips")
     if routing == "trips":
         graph = replace(graph, stay=graph.visit)
+        graph = add_tastes(graph, taste) if taste else graph
     start, node = _starts(place, graph)
     groups = count_walking_groups(people, walking_groups)
     permanent = group_membership == "permanent"
@@ -175,7 +178,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, GraphMem
     """People at their starts: seats of groups first, then places of waypoint nodes drawn by their spawn chance."""
     tables: GraphTables = scenario.behavior.data
     graph = tables.graph
-    form_key, trait_key, place_key, stay_key, turn_key = jax.random.split(key, 5)
+    form_key, trait_key, place_key, stay_key, turn_key, taste_key = jax.random.split(key, 6)
 
     # All seats get a place, taken or not: successors and the robot need the free ones later.
     center = graph.position[graph.groups]  # (G, 2) m
@@ -223,7 +226,8 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, GraphMem
         memory = memory._replace(log_chance=jnp.zeros((), float))
 
     if scenario.behavior.direct == direct_trips:
-        memory = memory._replace(trip=trips.begin(memory, scenario.people))
+        trip = trips.begin(graph, memory, scenario.people, taste_key)
+        memory = memory._replace(trip=trip, passengers=jnp.zeros_like(graph.timetable.people))
 
     # Edge by edge nobody is sent ahead of time. Else a first stay may end before anyone could be there.
     if scenario.behavior.direct != direct_edge_by_edge:
@@ -327,7 +331,8 @@ def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
     # Who leaves in this step does not come in at once.
     outside = ~state.pedestrians.present
     people = trips.leave(tables.graph, state.pedestrians, state.memory)
-    people, memory = trips.come_in(scenario, tables.graph, people, state.robot, state.memory, outside, chance.arrival)
+    state = replace(state, pedestrians=people)
+    people, memory = trips.come_in(scenario, tables.graph, state, outside, chance.arrival)
     state = replace(state, pedestrians=people, memory=memory)
     graph = _graph_with_congestion(tables, state)
 

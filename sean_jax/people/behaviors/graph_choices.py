@@ -170,6 +170,7 @@ class TripMemory(NamedTuple):
     visited: Int[Array, "N 2"]  # the last two goals, -1 none
     intent: Float[Array, "N 2"]  # m/s, the velocity that people want; it changes gradually
     blocked: Float[Array, "N"]  # s for which a person has not got on
+    taste: Int[Array, "N"] | None = None  # index into ``BehaviorGraph.tastes``; None if there are none
 
 
 class GraphMemory(NamedTuple):
@@ -188,6 +189,7 @@ class GraphMemory(NamedTuple):
     seat_heading: Float[Array, "Q 2"]  # unit vector
     log_chance: Float[Array, ""] | None = None  # of all choices so far; None without a temperature
     trip: TripMemory | None = None  # of ``routing="trips"``
+    passengers: Int[Array, "B"] | None = None  # of each bus, who have still to come in; on trips
 
     def with_choices(self, log_chance: Float[Array, ""]) -> "GraphMemory":
         """The memory after further choices, whose log chances add up to ``log_chance``."""
@@ -204,6 +206,21 @@ class GraphMemory(NamedTuple):
         """The memory with other values of some fields of ``trip``."""
         assert self.trip is not None  # of ``routing="trips"``
         return self._replace(trip=self.trip._replace(**fields))
+
+
+def taste_of(memory: GraphMemory) -> Int[Array, "N"] | None:
+    """The taste of each person; None if all take the cheapest path."""
+    return None if memory.trip is None else memory.trip.taste
+
+
+def next_nodes(
+    graph: BehaviorGraph, memory: GraphMemory, node: Int[Array, "N"], goal: Int[Array, "N"]
+) -> Int[Array, "N"]:
+    """The node after each person's node on the way to a goal by the person's taste, -1 without a way."""
+    taste = taste_of(memory)
+    if taste is None or graph.tastes is None:
+        return graph.next_hop[node, goal]
+    return graph.tastes.next_hop[taste, node, goal]
 
 
 def target_distance(people: Pedestrians, memory: GraphMemory) -> Float[Array, "N"]:
@@ -655,12 +672,12 @@ def set_out(
     """The next node of the path and a point of its disc, for people who leave a node."""
     node = memory.hop
     goal = memory.goal
-    next_hop = graph.next_hop[node, goal]  # -1 without a path
+    next_hop = next_nodes(graph, memory, node, goal)
 
     # With a temperature the next node is drawn, and the gradient needs the chance of each draw.
     if draws is not None:
-        log_chances = hop_log_chances(graph.edge_cost, graph.cost, graph.is_group, draws.temperature)  # (V, V, V)
-        choice, log_chance = sample(log_chances[node, goal], draws.hop)
+        log_chances = _hop_log_chances(graph, memory, node, goal, draws.temperature)
+        choice, log_chance = sample(log_chances, draws.hop)
         chooses = onward & (next_hop >= 0) & (node != goal)
         next_hop = jnp.where(chooses, choice, next_hop)
         log_chance = jnp.where(chooses, log_chance, 0.0)
@@ -681,3 +698,19 @@ def set_out(
         origin=jnp.where(onward, node, memory.origin),
         target=jnp.where(onward[:, None], place, memory.target),
     )
+
+
+def _hop_log_chances(
+    graph: BehaviorGraph,
+    memory: GraphMemory,
+    node: Int[Array, "N"],
+    goal: Int[Array, "N"],
+    temperature: Float[Array, ""],
+) -> Float[Array, "N M"]:
+    """Log chances of the node after each person's node on the way to a goal, by the costs of the person's taste."""
+    taste = taste_of(memory)
+    if taste is None or graph.tastes is None:
+        return hop_log_chances(graph.edge_cost, graph.cost, graph.is_group, temperature)[node, goal]
+    by_taste = jax.vmap(hop_log_chances, in_axes=(0, 0, None, None))
+    edge_cost = graph.edge_cost[None] * graph.tastes.factor
+    return by_taste(edge_cost, graph.tastes.cost, graph.is_group, temperature)[taste, node, goal]

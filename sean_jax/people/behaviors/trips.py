@@ -17,11 +17,12 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Bool, Float, Int, Shaped
 
-from sean_jax.core.data_types import Array, Pedestrians, Robot, Scenario
+from sean_jax.core import clock
+from sean_jax.core.data_types import Array, Pedestrians, Robot, Scenario, State
 from sean_jax.core.geometry import length, unit
 from sean_jax.graph import BehaviorGraph
 from sean_jax.people.behaviors import graph_choices
-from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above
+from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above, next_nodes, taste_of
 from sean_jax.people.behaviors.starts import follow_leaders
 from sean_jax.social_forces.forces import components
 from sean_jax.social_forces.walls import limit_approach
@@ -49,6 +50,7 @@ TURN_BACK_ODDS = 1e-6  # of a goal for which a person would turn back, relative 
 MAX_CUT = 2.5  # m before a node, where a person who turns there turns at the earliest
 MAX_GROUP = 3  # people of a walking group
 ENTRANCE_GAP = 0.6  # m, to others, of a person who comes in
+BUS_STOP = 30.0  # s, for which the passengers of a bus try to come in
 MISSED = 3.0  # m from a place that a person has passed by
 MISSED_BEHIND = 0.5  # m, at least, that this place lies behind
 MIN_CHOOSERS = 5  # people who choose in one step
@@ -130,14 +132,19 @@ def choosers(candidates: Bool[Array, "N"]) -> Choosers:
     return Choosers(person, exists, row, chooses)
 
 
-def begin(memory: GraphMemory, people: int) -> TripMemory:
+def begin(graph: BehaviorGraph, memory: GraphMemory, people: int, key: Array) -> TripMemory:
     """The memory at the start of an episode: people without a seat choose a goal in the first step."""
     errand = jnp.where(memory.seat < 0, 1, 0)
+    taste = None
+    if graph.tastes is not None:
+        n_tastes = graph.tastes.factor.shape[0]
+        taste = jax.random.randint(key, (people,), 0, n_tastes, jnp.int32)
     return TripMemory(
         errand=errand.astype(jnp.int32),
         visited=jnp.full((people, 2), -1, jnp.int32),
         intent=jnp.zeros((people, 2), float),
         blocked=jnp.zeros(people, float),
+        taste=taste,
     )
 
 
@@ -231,7 +238,7 @@ def passes(graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory) -> Bo
 
 def _node_after_hop(graph: BehaviorGraph, memory: GraphMemory) -> Int[Array, "N"]:
     """The node after the next, or the next one if that is the goal."""
-    node = graph.next_hop[memory.hop, memory.goal]
+    node = next_nodes(graph, memory, memory.hop, memory.goal)
     return jnp.where(node >= 0, node, memory.hop)
 
 
@@ -239,8 +246,8 @@ def _node_after_hop(graph: BehaviorGraph, memory: GraphMemory) -> Int[Array, "N"
 class Bearings:
     """Directions from each node to the first node on the way to others, unit vectors."""
 
-    to_waypoints: Float[Array, "M Mw 2"]
-    to_groups: Float[Array, "M G 2"]
+    to_waypoints: Float[Array, "T M Mw 2"]  # by each taste, or with T = 1 on the cheapest path
+    to_groups: Float[Array, "T M G 2"]
 
 
 def bearings(graph: BehaviorGraph) -> Bearings:
@@ -250,15 +257,16 @@ def bearings(graph: BehaviorGraph) -> Bearings:
     return Bearings(to_waypoints, to_groups)
 
 
-def _bearings_to(graph: BehaviorGraph, goals: Int[Array, "K"]) -> Float[Array, "M K 2"]:
+def _bearings_to(graph: BehaviorGraph, goals: Int[Array, "K"]) -> Float[Array, "T M K 2"]:
     """Unit vectors from each node to the first node on the way to each goal."""
-    first = graph.next_hop[:, goals]  # (M, K)
-    first = jnp.where(first >= 0, first, goals[None, :])
-    way = graph.position[first] - graph.position[:, None]  # (M, K, 2) m
+    next_hop = graph.next_hop[None] if graph.tastes is None else graph.tastes.next_hop
+    first = next_hop[:, :, goals]  # (T, M, K)
+    first = jnp.where(first >= 0, first, goals[None, None, :])
+    way = graph.position[first] - graph.position[None, :, None]  # (T, M, K, 2) m
     return jnp.stack(unit(*components(way)), -1)
 
 
-def turns_back(memory: GraphMemory, bearing: Float[Array, "M K 2"]) -> Bool[Array, "N K"]:
+def turns_back(memory: GraphMemory, bearing: Float[Array, "T M K 2"]) -> Bool[Array, "N K"]:
     """Whether people would turn back at their next node to go to each of some nodes. Who stands may go anywhere.
 
     Args:
@@ -267,7 +275,9 @@ def turns_back(memory: GraphMemory, bearing: Float[Array, "M K 2"]) -> Bool[Arra
     assert memory.trip is not None
     intent_x, intent_y = components(memory.trip.intent)
     x, y = unit(intent_x, intent_y)
-    way_x, way_y = components(bearing[memory.hop])  # (N, K)
+    taste = taste_of(memory)
+    taste = jnp.zeros_like(memory.hop) if taste is None else taste
+    way_x, way_y = components(bearing[taste, memory.hop])  # (N, K)
     cosine = x[:, None] * way_x + y[:, None] * way_y
 
     # Who rises from a seat has neither a stay nor an errand any more, and stands at the goal.
@@ -537,30 +547,104 @@ def leave(graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory) -> Ped
     return replace(people, present=people.present & ~leaves, velocity=velocity)
 
 
+class Arrival(NamedTuple):
+    """Who comes to an entrance in a step: somebody or nobody, on foot or from a bus."""
+
+    node: Int[Array, ""]  # the entrance
+    exists: Bool[Array, ""]
+    passengers: Int[Array, "B"]  # who have still to come in
+    of_bus: Bool[Array, "B"]  # from which the person comes, of none on foot
+
+
+def arrival(
+    graph: BehaviorGraph,
+    memory: GraphMemory,
+    tick: Float[Array, ""],
+    time_step: float,
+    chance: Float[Array, "2"],
+) -> Arrival:
+    """Who comes to which entrance. Those on foot are a Poisson process; in other steps passengers get off.
+
+    Args:
+        tick: of the episode.
+        time_step: s, of control.
+        chance: uniform from 0 to 1.
+    """
+    assert memory.passengers is not None  # of routing="trips"
+    arrival_chance, node_chance = chance
+    rates = _rates(graph, tick * time_step)  # (M,) people/s
+    rate = jnp.sum(rates)
+    exists = (rate > 0.0) & (arrival_chance < 1.0 - jnp.exp(-rate * time_step))
+    cumulative = jnp.cumsum(rates)[None, :]  # (1, M)
+    node = first_above(cumulative, node_chance[None], rates.shape[0])[0]
+    n_buses = memory.passengers.shape[0]
+    if n_buses == 0:
+        return Arrival(node, exists, memory.passengers, jnp.zeros(0, bool))
+
+    # Of several buses one whose passengers still have to get off.
+    passengers = _passengers(graph, memory.passengers, tick, time_step)
+    cumulative = jnp.cumsum(passengers.astype(float))[None, :]  # (1, B)
+    bus = first_above(cumulative, node_chance[None], n_buses)[0]
+    gets_off = ~exists & (passengers[bus] > 0)
+    is_bus = jnp.arange(n_buses, dtype=jnp.int32) == bus
+    node = jnp.where(gets_off, graph.timetable.bus_node[bus], node)
+    return Arrival(node, exists | gets_off, passengers, is_bus & gets_off)
+
+
+def _rates(graph: BehaviorGraph, time: Float[Array, ""]) -> Float[Array, "M"]:
+    """People/s who come to each entrance on foot at a time [s] of the episode."""
+    table = graph.timetable
+    if table.open_node.shape[0] + table.bus_node.shape[0] == 0:
+        return graph.entrance
+    node = jnp.arange(graph.entrance.shape[0], dtype=jnp.int32)[:, None]
+    is_of_node = table.open_node[None, :] == node  # (M, I)
+    begin, end = components(table.open)
+    is_now = (begin <= time) & (time < end)
+    is_open = ~is_of_node.any(1) | (is_of_node & is_now[None, :]).any(1)
+    has_bus = (table.bus_node[None, :] == node).any(1)
+    return jnp.where(is_open & ~has_bus, graph.entrance, 0.0)
+
+
+def _passengers(
+    graph: BehaviorGraph, passengers: Int[Array, "B"], tick: Float[Array, ""], time_step: float
+) -> Int[Array, "B"]:
+    """How many people of each bus have still to come in; those of a new bus are all, and none long after it."""
+    table = graph.timetable
+    every = clock.to_ticks(table.every, time_step)
+    first = clock.to_ticks(table.first, time_step)
+
+    def count(tick: Array) -> Array:
+        """How many buses have come up to a tick."""
+        return jnp.maximum(jnp.floor((tick - first) / every) + 1.0, 0.0)
+
+    n_buses = count(tick)
+    passengers = jnp.where(n_buses > count(tick - 1.0), table.people, passengers)
+    since = tick - first - (n_buses - 1.0) * every
+    return jnp.where(since * time_step < BUS_STOP, passengers, 0)
+
+
 def come_in(
     scenario: Scenario,
     graph: BehaviorGraph,
-    people: Pedestrians,
-    robot: Robot,
-    memory: GraphMemory,
+    state: State,
     outside: Bool[Array, "N"],
     chance: Float[Array, "4"],
 ) -> tuple[Pedestrians, GraphMemory]:
-    """People, one of whom or one walking group may come in at an entrance. Arrivals are a Poisson process.
+    """People, one of whom or one walking group may come in at an entrance.
 
-    Who finds the floor full, or somebody in the entrance or a robot beside it, goes away.
+    Who finds the floor full, or somebody in the entrance or a robot beside it, goes away. Passengers of a bus try again
+    for ``BUS_STOP`` seconds.
 
     Args:
         outside: who may come in.
         chance: uniform from 0 to 1.
     """
     # Where somebody arrives in this step, if anybody does.
+    people, memory = state.pedestrians, state.memory
     arrival_chance, person_chance, node_chance, place_chance = chance
-    rate = jnp.sum(graph.entrance)  # people/s
-    arrives = arrival_chance < 1.0 - jnp.exp(-rate * scenario.time_step)
-    cumulative = jnp.cumsum(graph.entrance)[None, :]  # (1, M)
-    node = first_above(cumulative, node_chance[None], graph.entrance.shape[0])[0]
-    places = _some_places(graph, node[None], place_chance[None])[0]  # (K, 2) m
+    tick = state.tick.astype(float)
+    arrives = arrival(graph, memory, tick, scenario.time_step, jnp.stack([arrival_chance, node_chance]))
+    places = _some_places(graph, arrives.node[None], place_chance[None])[0]  # (K, 2) m
 
     # The numbers of people who are never present are the last ones.
     person = jnp.arange(scenario.people, dtype=jnp.int32)
@@ -580,9 +664,15 @@ def come_in(
     index = jnp.clip(person - first, 0, spots.shape[0] - 1)
 
     # Unless somebody stands in the way of one of them.
-    is_taken = _is_taken(people, robot, spots)
-    comes = arrives & (rate > 0.0) & ~(is_new & is_taken[index]).any()
-    return _place_new(people, memory, comes & is_new, node, spots[index])
+    is_taken = _is_taken(people, state.robot, spots)
+    comes = arrives.exists & ~(is_new & is_taken[index]).any()
+
+    # Nor does a walking group get off a bus that has fewer passengers.
+    n_new = jnp.where(comes, is_new.sum(dtype=jnp.int32), 0)
+    comes = comes & ~(arrives.of_bus & (n_new > arrives.passengers)).any()
+    n_new = jnp.where(comes & arrives.of_bus, n_new, 0)  # (B,)
+    memory = memory._replace(passengers=arrives.passengers - n_new)
+    return _place_new(people, memory, comes & is_new, arrives.node, spots[index])
 
 
 def _is_taken(people: Pedestrians, robot: Robot, places: Float[Array, "K 2"]) -> Bool[Array, "K"]:
@@ -616,7 +706,7 @@ def _place_new(
         velocity=jnp.where(column, 0.0, people.velocity),
         desired_velocity=jnp.where(column, 0.0, people.desired_velocity),
     )
-    trip = TripMemory(
+    trip = memory.trip._replace(
         errand=jnp.where(is_new, 1, memory.trip.errand),
         visited=jnp.where(column, -1, memory.trip.visited),
         intent=jnp.where(column, 0.0, memory.trip.intent),

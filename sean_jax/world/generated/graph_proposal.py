@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from sean_jax.core.data_types import Environment
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import signed_distances_on_host
-from sean_jax.graph.annotation import NODE_CLEARANCE, PERSON, Annotation, Edge, Node
+from sean_jax.graph.annotation import NODE_CLEARANCE, PERSON, Annotation, Edge, Entrance, Node
 from sean_jax.world.navigation.arcs import pairs_are_free
 
 CELL = 0.25  # m, side of the cells in which the floor is looked at
@@ -265,8 +265,8 @@ def _annotation(
     nodes = {}
     for name, (x, y), radius in zip(names, position.tolist(), radii.tolist(), strict=True):
         place = round(x, 3), round(y, 3)
-        is_end = name.startswith(END)
-        nodes[name] = Node(kind="waypoint", position=place, radius=round(radius, 2), spawn=1, entrance=is_end)
+        entrance = Entrance() if name.startswith(END) else None
+        nodes[name] = Node(kind="waypoint", position=place, radius=round(radius, 2), spawn=1, entrance=entrance)
 
     # The relative neighborhood graph: no third node is nearer to both.
     length = np.where(visible, gap, np.inf)

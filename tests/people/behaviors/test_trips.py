@@ -218,13 +218,14 @@ def come_in(scenario, robot, taken=False):
     robots = replace(state.robot, position=jnp.asarray(robot))
     chance = jnp.array([0.0, 0.999, 0.5, 0.5])
     people = replace(state.pedestrians, position=far, present=~outside)
-    after, _ = trips.come_in(scenario, graph, people, robots, state.memory, outside, chance)
+    state = replace(state, pedestrians=people, robot=robots)
+    after, _ = trips.come_in(scenario, graph, state, outside, chance)
     if not taken:
         return graph.position[hall], np.asarray(after.present & outside)
     came = []
     for person in np.flatnonzero(np.asarray(after.present & outside)):
         occupied = replace(people, position=far.at[0].set(after.position[person]))
-        again, _ = trips.come_in(scenario, graph, occupied, robots, state.memory, outside, chance)
+        again, _ = trips.come_in(scenario, graph, replace(state, pedestrians=occupied), outside, chance)
         came.append(np.asarray(again.present & outside))
     return np.stack(came)
 
