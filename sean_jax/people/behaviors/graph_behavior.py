@@ -143,7 +143,7 @@ def build(
         # None leaves a term out of the compiled program, which a value of 0 would not.
         congestion_cost=to_device(np.asarray(congestion_cost)) if congestion_cost else None,
         temperature=to_device(np.asarray(temperature)) if temperature else None,
-        bearings=trips.bearings(graph) if routing == "trips" else None,
+        bearings=jax.jit(trips.bearings)(graph) if routing == "trips" else None,
         spawn_clusters=to_device(find_spawn_clusters(place.navigation, start, groups)),
         walking_groups=groups,
         first_seats=to_device(np.array(first_seats, np.int32)),
