@@ -305,7 +305,7 @@ class Evasion:
         return from_ahead * closeness / (self._ramp() * self.horizon * pair.alertness * width * width)
 
     def _approach(self, pair: Pair, width: Array) -> tuple[Array, Array, Array]:
-        """The closest approach: whether from ahead [m], (time left) (room left) [s m2], and how far to the right [m]."""
+        """The closest approach: whether from ahead [m], (time left) (room left) [s m2], how far to the right [m]."""
         dx = pair.dx
         dy = pair.dy
         look_x = pair.look_x
