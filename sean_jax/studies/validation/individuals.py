@@ -189,13 +189,12 @@ def approached(context: CheckContext, most_touched: float, slowest: Sequence[flo
         robot = scene.robot_path(_times(tracks))
         shares.append(float(least_speed_share(np.asarray(tracks.position), robot, NEARBY)[0]))
         nearest.append(_nearest(scene, tracks)[0])
-    bodies = float(context.model.forces.walking.radius) + float(load("kuri").radius)
-    touched = float((np.array(nearest) < bodies).mean())
+    touched = float((np.array(nearest) < _bodies(context)).mean())
     clearance = float(np.mean(nearest))
 
-    # Nobody counts who turned back before the robot was near.
-    met = np.sort(np.array(shares)[np.isfinite(shares)])
-    median, quarter = (float(value) for value in np.quantile(met, (0.5, 0.25))) if len(met) else (np.nan, np.nan)
+    # Whoever turned back before the robot was near kept no speed at all.
+    ranked = np.sort(np.nan_to_num(shares))
+    quarter, median = np.quantile(ranked, (0.25, 0.5)).tolist()
     least, most = slowest
     return result(
         bool(touched <= most_touched and least <= median <= most),
@@ -204,7 +203,7 @@ def approached(context: CheckContext, most_touched: float, slowest: Sequence[flo
         f"median of {least:g} to {most:g} of the first speed; touched in {100 * most_touched:.0f} % at most",
         numbers={"slowest": median, "slowest_quarter": quarter, "touched": touched, "clearance": clearance},
         curves=(
-            curve("model", met, (np.arange(len(met)) + 1.0) / max(len(met), 1)),
+            curve("model", ranked, _cumulative(ranked)),
             reference("allowed, median", slowest, (0.5, 0.5)),
         ),
         axes=("least over first speed", "share of encounters"),
@@ -284,7 +283,7 @@ def compare_clearance(
         within: m, from the measured mean.
         deviation: m, smallest and largest standard deviation.
     """
-    bodies = float(context.model.forces.walking.radius) + float(load("kuri").radius)
+    bodies = _bodies(context)
     touched = float((nearest < bodies).mean())
     clearance = float(nearest.mean())
     spread_out = float(nearest.std())
@@ -296,7 +295,6 @@ def compare_clearance(
 
     # The curve is the distribution of distances.
     ranked = np.sort(nearest)
-    shares = (np.arange(len(ranked)) + 1.0) / len(ranked)
 
     as_near = abs(clearance - CLEARANCE) <= within
     as_wide = least <= spread_out <= most
@@ -306,12 +304,22 @@ def compare_clearance(
         f"touched in {100 * most_touched:.0f} % at most; nearest {CLEARANCE:g} ± {within:g} m on average{wanted}",
         numbers={"touched": touched, "clearance": clearance, "clearance_deviation": spread_out},
         curves=(
-            curve("model", ranked, shares),
+            curve("model", ranked, _cumulative(ranked)),
             reference("bodies touch", (bodies, bodies), (0.0, 1.0)),
             reference("people, 0.83 m", (CLEARANCE, CLEARANCE), (0.0, 1.0)),
         ),
         axes=("least distance of the middles [m]", "share of encounters"),
     )
+
+
+def _bodies(context: CheckContext) -> float:
+    """The distance [m] at which a person and Kuri touch."""
+    return float(context.model.forces.walking.radius) + float(load("kuri").radius)
+
+
+def _cumulative(ranked: np.ndarray) -> np.ndarray:
+    """The share of encounters up to each of them."""
+    return (np.arange(len(ranked)) + 1.0) / len(ranked)
 
 
 def _times(tracks: Tracks) -> np.ndarray:
