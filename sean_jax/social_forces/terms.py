@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.core.data_types import Array, Pedestrians
+from sean_jax.core.data_types import Array, Pedestrians, Robot
 from sean_jax.core.geometry import angle_between, ground_velocity, length, rotate, sum_vectors, unit
 from sean_jax.social_forces.forces import (
     MAX_EXPONENT,
@@ -37,6 +37,7 @@ NEGLIGIBLE = 1e-4  # m/s2, of a push
 SHORTEST = 1e-3  # m, of a ramp or a width that is divided by; its tenth power is still a float
 LEAST_GAP = 0.01  # m: a nearer person limits the speed as one at that gap
 SLOW = 0.1  # m/s, of the preferred speed by which the share of a desired speed is divided
+BERTH = 1.3  # of the width of ``Evasion``: people slow down before a robot that passes just outside that, too
 RIGHT_OF = 0.05  # m, to the left of the middle of a robot behind, where people step to the right as to the left
 SOFTENING = 0.01  # m2: the direction of a companion fades out below a distance of 0.1 m
 
@@ -294,13 +295,23 @@ class Evasion:
 
     def gather(self, pair: Pair) -> tuple[Array]:
         """The share of the push to the right (negative: left) by one other, times ``_scale`` [m6 s2]."""
+        from_ahead, closeness, right = self._approach(pair, self.width * pair.width)
+        return (from_ahead * closeness**2 * right,)
+
+    def urgency(self, pair: Pair) -> Array:
+        """How soon and how near another comes, from 0 at the horizon or ``BERTH`` widths away to 1."""
+        width = jnp.maximum(BERTH * self.width * pair.width, SHORTEST)
+        from_ahead, closeness, _ = self._approach(pair, width)
+        return from_ahead * closeness / (self._ramp() * self.horizon * pair.alertness * width * width)
+
+    def _approach(self, pair: Pair, width: Array) -> tuple[Array, Array, Array]:
+        """The closest approach: whether from ahead [m], (time left) (room left) [s m2], how far to the right [m]."""
         dx = pair.dx
         dy = pair.dy
         look_x = pair.look_x
         look_y = pair.look_y
         ux = pair.vx - pair.wx
         uy = pair.vy - pair.wy
-        width = self.width * pair.width
         uu = ux * ux + uy * uy
         inverse = jax.lax.rsqrt(uu + self.speed * self.speed) ** 2  # cheaper than a division
 
@@ -316,7 +327,7 @@ class Evasion:
         in_sight = jnp.clip(ahead, 0.0, self._ramp())
         right = mx * look_y - my * look_x + (self.side + pair.side)
         closing = jnp.where(approach > 0.0, uu * inverse, 0.0)
-        return (in_sight * closing * (soon * near) ** 2 * right,)
+        return in_sight * closing, soon * near, right
 
     def act(self, crowd: Crowd, share: Float[Array, "N"]) -> Force:
         """The push to the side (N,) [m/s2], ``strength`` at most, from the sum of ``gather``."""
@@ -635,7 +646,10 @@ class RobotRepulsion:
 
     A factor f of the repulsion A exp(-b / B) is drawn for each person and acts while the robot moves. It equals a
     distance of B ln(f), which is ``Pedestrians.robot_distance``. With ``aside`` a robot that follows does not drive
-    people on: they step out of its way.
+    people on: they step out of its way. With ``slowing`` people slow down before a moving robot that comes near.
+
+    Source of slowing, without a figure: C. Vassallo et al., Gait & Posture 51, 97 (2017); Z. Chen et al., arXiv
+    1802.05730 (2018).
     """
 
     limits: ClassVar[dict[str, tuple[float, float]]] = {
@@ -643,6 +657,7 @@ class RobotRepulsion:
         "factor_max": (1e-6, 1e6),
         "ramp": (0.0, 100.0),
         "aside": (0.0, 1.0),
+        "slowing": (0.0, 1.0),
     }
 
     factor_min: Float[Array, ""]  # 1, of the repulsion by a moving robot, drawn uniformly per person ...
@@ -650,6 +665,7 @@ class RobotRepulsion:
     moving_speed: Float[Array, ""]  # m/s, a slower robot is avoided like a person
     ramp: Float[Array, ""]  # m/s around it over which a robot becomes a moving robot; 0: a step
     aside: Float[Array, ""] | None = None  # 1, share of a push from behind that turns to the side
+    slowing: Float[Array, ""] | None = None  # 1, share of the speed that people give up before it
 
     def person(self, crowd: Crowd) -> Force | None:
         """The push (N,) [m/s2] of the robot on each person; None without a robot or pair terms."""
@@ -659,7 +675,7 @@ class RobotRepulsion:
         if not terms:
             return None
         force = self._over_people(crowd, partial(sum_pair_terms, terms))
-        if force is None or (factor is None and self.aside is None):
+        if force is None or (factor is None and self.aside is None and self.slowing is None):
             return force
 
         # Whoever takes no notice of the robot, or steps aside, still feels its body.
@@ -671,6 +687,10 @@ class RobotRepulsion:
         fy = force[1] - touch_y
         if self.aside is not None:
             fx, fy = self._turn_aside(crowd, fx, fy)
+        if self.slowing is not None:
+            brake_x, brake_y = self._slow_down(crowd)
+            fx = fx + brake_x
+            fy = fy + brake_y
         if factor is not None:
             fx = factor * fx
             fy = factor * fy
@@ -698,6 +718,23 @@ class RobotRepulsion:
         fy = fy - turned * (look_y - side * look_x)
         return fx, fy
 
+    def _slow_down(self, crowd: Crowd) -> Force:
+        """The braking (N,) [m/s2] before a moving robot on a collision course; zero without ``Evasion``."""
+        assert crowd.robot is not None and self.slowing is not None
+        people = crowd.people
+        evasion = crowd.forces.get(Evasion)
+        if evasion is None:
+            zero = jnp.zeros_like(crowd.look_x)
+            return zero, zero
+
+        # A robot that stands brakes nobody, so that no two wait for each other.
+        _, _, moving = self._motion(crowd.robot)
+        share = self.slowing * moving * self._over_people(crowd, evasion.urgency)
+        share = jnp.where(is_standing(people), 0.0, share)
+        rate = share / crowd.forces.walking.relaxation(people)
+        desired_x, desired_y = components(people.desired_velocity)
+        return -rate * desired_x, -rate * desired_y
+
     def gathered(self, crowd: Crowd) -> tuple[tuple[Array, ...], ...] | None:
         """The robot's contributions (N,) to the sums of each gather term; None without a robot."""
         sums = self._over_people(crowd, partial(gather, crowd.forces.gather_terms))
@@ -713,14 +750,7 @@ class RobotRepulsion:
         if robot is None:
             return None
 
-        # People see the velocity over the ground, which the heading alone does not give if a robot moves sideways.
-        wx = robot.speed * robot.heading[0]
-        wy = robot.speed * robot.heading[1]
-        speed = jnp.abs(robot.speed)
-        if robot.sideways is not None:
-            wx, wy = ground_velocity(robot)
-            speed = length(wx, wy)
-        moving = self._moving(speed)
+        wx, wy, moving = self._motion(robot)
 
         # How each person differs in ``Evasion``.
         evasion = crowd.forces.get(Evasion)
@@ -746,6 +776,16 @@ class RobotRepulsion:
         rows = x, y, vx, vy, crowd.look_x, crowd.look_y, standing, people.robot_distance
         on_people = jax.vmap(with_robot)
         return on_people(*rows, *factors)
+
+    def _motion(self, robot: Robot) -> tuple[Array, Array, Array]:
+        """The velocity [m/s] of a robot over the ground, and how much () it is a moving robot, from 0 to 1."""
+        wx = robot.speed * robot.heading[0]
+        wy = robot.speed * robot.heading[1]
+        speed = jnp.abs(robot.speed)
+        if robot.sideways is not None:  # the heading alone does not give the velocity
+            wx, wy = ground_velocity(robot)
+            speed = length(wx, wy)
+        return wx, wy, self._moving(speed)
 
     def _moving(self, speed: Array) -> Array:
         """How much () a robot of that speed [m/s] is a moving robot, from 0 to 1."""

@@ -10,6 +10,8 @@ import pytest
 from sean_jax import social_forces
 from sean_jax.core.data_types import Robot
 from sean_jax.social_forces import Noise
+from sean_jax.studies.scenes import corridor
+from sean_jax.studies.scenes.scene import environment
 from support import walkers
 from support.quick import quick
 
@@ -150,3 +152,60 @@ def test_a_robot_that_follows_does_not_drive_people_on():
     assert np.asarray(driven[1])[:, -1].max() > 1.15 * 1.2 and speed[:, -1].max() < 1.02 * 1.2
     side = place[:, -1, 1]
     assert (side[[0, 1, 3]] < -0.1).all() and side[2] > 0.1 and np.abs(side).max() < 1.5
+
+
+def test_people_slow_down_before_a_robot_that_comes_at_them_and_for_no_other():
+    """Not for one that follows, and a robot that stands is passed as without the parameter, so that nobody waits."""
+    one = walkers.walkers(jnp.array([[0.0, 0.1]]), jnp.array([[1.3, 0.0]]), 0.3)
+    parameters = social_forces.build(
+        [term for term in social_forces.preset("calibrated") if not isinstance(term, Noise)]
+    )
+
+    @jax.jit
+    @functools.partial(jax.vmap, in_axes=(None, 0, 0))
+    def meet(parameters, start, speed):
+        def one_step(people, tick):
+            place = jnp.stack([start + speed * 0.05 * tick, 0.0])
+            robot = Robot(place, jnp.array([1.0, 0.0]), speed, jnp.float32(0.0), ())
+            people = social_forces.integrate(parameters, people, None, None, robot, 0.05, 0.16)
+            return people, (people.velocity[0, 0], people.position[0])
+
+        return jax.lax.scan(one_step, one, jnp.arange(120, dtype=float))[1]
+
+    start, speed = jnp.array([7.0, 5.0, -1.0, 4.0]), jnp.array([-1.0, -0.5, 1.3, 0.0])
+    slowed, place = map(np.asarray, meet(parameters, start, speed))
+    same_speed, same_place = map(
+        np.asarray, meet(parameters.tree_replace({"robot_repulsion.slowing": None}), start, speed)
+    )
+    least = slowed.min(1) / 1.3
+    assert (least[:2] < 0.9).all() and (same_speed[:2].min(1) > 0.93 * 1.3).all() and least[2] > 0.99
+    np.testing.assert_allclose(place[2:], same_place[2:], atol=1e-5)
+    assert (slowed[:, -1] > 1.28).all() and (place[:2, -1, 0] > start[:2] - 6.0).all()  # and all go on
+
+    half = meet(parameters.tree_replace({"robot_repulsion.slowing": 0.25}), start, speed)[0]
+    assert least[0] < np.asarray(half)[0].min() / 1.3 - 0.05  # in its measure
+
+
+def test_a_person_passes_a_robot_that_drives_up_and_stands_in_a_narrow_corridor():
+    """In a corridor of 1.2 m, with 0.44 m free on both sides of the robot and bodies of 0.4 m."""
+    table = environment(corridor(30.0, 1.2)).obstacle_grid
+    parameters = social_forces.preset("calibrated")
+
+    @jax.jit
+    @functools.partial(jax.vmap, in_axes=(None, 0))
+    @functools.partial(jax.vmap, in_axes=(0, None))
+    def passes(offset, stop):
+        start = jnp.stack([5.0, 0.6 + offset])
+        people = walkers.walkers(start[None], jnp.array([[1.3, 0.0]]), 0.3)
+
+        def one_step(carry, _):
+            people, x = carry
+            speed = jnp.where(x - people.position[0, 0] > stop, 1.0, 0.0)
+            robot = Robot(jnp.stack([x, 0.6]), jnp.array([-1.0, 0.0]), speed, jnp.float32(0.0), ())
+            people = social_forces.integrate(parameters, people, table, None, robot, 0.05, 0.16)
+            return (people, x - 0.05 * speed), people.position[0, 0] - x
+
+        return jax.lax.scan(one_step, (people, jnp.float32(11.0)), length=400)[1]
+
+    beyond = np.asarray(passes(jnp.linspace(-0.3, 0.3, 13), jnp.array([0.5, 1.0, 2.0])))
+    assert (beyond[..., 0] < -5.0).all() and (beyond[..., -1] > 0.5).all()

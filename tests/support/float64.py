@@ -194,14 +194,34 @@ def turned_aside(push, d, look, c):
     return push - driven * look + driven * offset / np.hypot(offset, 0.05) * left
 
 
+def is_moving(motion, c):
+    """How much a robot of that velocity (2,) is a moving robot, from 0 to 1."""
+    if c["ramp"] == 0:
+        return float(length(motion) > c["moving_speed"])
+    return ramp(0.5 + (length(motion) - c["moving_speed"]) / c["ramp"])
+
+
+def slowed_by_robot(i, x, v, look, evade, extra, standing, robot, p):
+    """Share of the desired velocity that person i gives up before a robot (position, velocity, radius)."""
+    place, w, _ = robot
+    c, e, d, u = p["robot_repulsion"], p.get("evasion"), x[i] - place, v[i] - w
+    if e is None or c["slowing"] is None or standing or d @ u >= 0:
+        return 0.0
+    moving = is_moving(w, c)
+    width = 1.3 * evade[0] * (1 + moving * extra / e["width"])
+    time = -(d @ u) / (u @ u + e["speed"] ** 2)
+    offset = d + u * time
+    closing = u @ u / (u @ u + e["speed"] ** 2)
+    soon, near = max(1 - time / e["horizon"], 0.0), max(1 - offset @ offset / width**2, 0.0)
+    return c["slowing"] * moving * ramp(-(d @ look) / e["ramp"]) * closing * soon * near
+
+
 def by_robot(i, x, v, look, evade, extra, standing, robot, p):
     """Push (2,) of a robot (position, velocity, radius), and its parts in the sums of headway and of evasion."""
     place, motion, radius = robot
     c, d = p["robot_repulsion"], x[i] - place
     radii = reach(d, look, p) + radius
-    moving = ramp(0.5 + (length(motion) - c["moving_speed"]) / c["ramp"]) if c["ramp"] > 0 else 0.0
-    if c["ramp"] == 0:
-        moving = float(length(motion) > c["moving_speed"])
+    moving = is_moving(motion, c)
     factor = np.exp(moving * extra / p["repulsion"]["range"])
     push = repulsion(d, motion, v[i], radii, p)
     force = factor * sight(push, d, look, p) * push
@@ -291,8 +311,9 @@ def acceleration(i, x, v, heading, desired, preferred, walls, p, companions=(), 
     push, limits, share = by_people(i, x, v, look, strangers, evade, standing, p)
     total = push
     if robot is not None and "robot_repulsion" in p:
-        force, more, part = by_robot(i, x, v, look[i], evade, 0.0 if extra is None else extra[i], standing, robot, p)
-        total, limits, share = total + force, limits + more, share + part
+        one = i, x, v, look[i], evade, 0.0 if extra is None else extra[i], standing, robot, p
+        force, more, part = by_robot(*one)
+        total, limits, share = total + force - slowed_by_robot(*one) * desired[i] / time, limits + more, share + part
     speed = length(desired[i])
     if "headway" in p and speed > 0:
         h = p["headway"]

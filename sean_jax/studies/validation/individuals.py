@@ -1,6 +1,7 @@
 """Checks of individuals: pairs of people, a robot that does not react, and prediction.
 
-[V17] C. Vassallo et al., Gait & Posture 51, 97 (2017): people pass a robot that crosses their way at 0.83 ± 0.27 m.
+[V17] C. Vassallo et al., Gait & Posture 51, 97 (2017): people pass a robot that crosses their way at 0.83 ± 0.27 m,
+and give way even if they would pass first.
 [G18] A. Gupta et al., "Social GAN", CVPR 2018: windows, errors. [S20] C. Schoeller et al., IEEE RA-L 5(2), 2020:
 constant velocity.
 """
@@ -30,7 +31,7 @@ from sean_jax.studies.validation.checks import (
     reference,
     result,
 )
-from sean_jax.studies.validation.measures import separation, steps_along
+from sean_jax.studies.validation.measures import least_speed_share, separation, steps_along
 
 BEFORE = 4.0  # s, after which two would be nearest if they went straight on
 SPEEDS = (1.34, 1.34), (0.9, 1.7), (1.55, 1.2)  # m/s
@@ -39,6 +40,9 @@ TOLERANCE = 1e-3  # m, of bodies that touch
 ROBOT_SPEED = 1.0  # m/s
 MISS = 0.6  # m, within which person and robot would pass
 CLEARANCE = 0.83  # m [V17]
+FROM_THE_RIGHT = 0.0, 1.0  # the robot's way, where people walk along x
+HEAD_ON = -1.0, 0.0
+NEARBY = 2.0  # m from a robot, where slowing counts
 STREAM = 16.0, 5.0  # m along and across
 STREAM_DENSITY = 0.35  # 1/m2
 NO_WALLS = np.zeros((0, 5))
@@ -135,18 +139,19 @@ def _lost(scene: Scene, tracks: Tracks) -> float:
     return float((time - gone / speed).max())
 
 
-def passing_scenes(number: int) -> list[Scene]:
-    """Encounters of a person with a robot that crosses their way at a right angle, from the right, and does not react.
+def passing_scenes(number: int, way: tuple[float, float] = FROM_THE_RIGHT) -> list[Scene]:
+    """Encounters of a person who walks along x with a robot on another way (a unit vector) that does not react.
 
     Drawn: the speed of the person from N(1.34, 0.26) m/s, and the distance by which the two would miss each other.
     """
     random = np.random.default_rng([0, 29])
-    robot = (0.0, -BEFORE * ROBOT_SPEED), (0.0, ROBOT_SPEED)
+    velocity = ROBOT_SPEED * way[0], ROBOT_SPEED * way[1]
+    robot = (-BEFORE * velocity[0], -BEFORE * velocity[1]), velocity
     ahead = _far(np.array([1.0, 0.0]))
     scenes = []
     for k in range(number):
         speed = float(np.clip(random.normal(1.34, 0.26), 0.5, 2.2))
-        drift = np.array([speed, -ROBOT_SPEED])
+        drift = np.array([speed - velocity[0], -velocity[1]])
         aside = np.array([-drift[1], drift[0]]) / np.hypot(*drift)
         miss = random.uniform(-MISS, MISS)
         start = np.array([-BEFORE * speed, 0.0]) + miss * aside
@@ -167,6 +172,42 @@ def passing_a_robot(context: CheckContext, **limits: Any) -> CheckResult:
     for scene, tracks in zip(scenes, recorded, strict=True):
         nearest.append(_nearest(scene, tracks)[0])
     return compare_clearance(context, np.array(nearest), **limits)
+
+
+def approached(context: CheckContext, most_touched: float, slowest: Sequence[float]) -> CheckResult:
+    """How much people slow down for a robot that comes at them head-on, and the share of contacts.
+
+    Args:
+        most_touched: share of encounters.
+        slowest: smallest and largest median of the least speed within ``NEARBY``, over the first.
+    """
+    scenes = passing_scenes(64 if context.quick else 256, HEAD_ON)
+    recorded = context.simulate(scenes, ["head-on 1", "head-on 2", "head-on 3"])
+    shares = []
+    nearest = []
+    for scene, tracks in zip(scenes, recorded, strict=True):
+        robot = scene.robot_path(_times(tracks))
+        shares.append(float(least_speed_share(np.asarray(tracks.position), robot, NEARBY)[0]))
+        nearest.append(_nearest(scene, tracks)[0])
+    touched = float((np.array(nearest) < _bodies(context)).mean())
+    clearance = float(np.mean(nearest))
+
+    # Whoever turned back before the robot was near kept no speed at all.
+    ranked = np.sort(np.nan_to_num(shares))
+    quarter, median = np.quantile(ranked, (0.25, 0.5)).tolist()
+    least, most = slowest
+    return result(
+        bool(touched <= most_touched and least <= median <= most),
+        f"slowest {median:.2f} of the first speed within {NEARBY:g} m (a quarter below {quarter:.2f}); touched in "
+        f"{100 * touched:.1f} % of {len(scenes)}; nearest {clearance:.2f} m",
+        f"median of {least:g} to {most:g} of the first speed; touched in {100 * most_touched:.0f} % at most",
+        numbers={"slowest": median, "slowest_quarter": quarter, "touched": touched, "clearance": clearance},
+        curves=(
+            curve("model", ranked, _cumulative(ranked)),
+            reference("allowed, median", slowest, (0.5, 0.5)),
+        ),
+        axes=("least over first speed", "share of encounters"),
+    )
 
 
 def stream_scenes(number: int) -> list[Scene]:
@@ -242,7 +283,7 @@ def compare_clearance(
         within: m, from the measured mean.
         deviation: m, smallest and largest standard deviation.
     """
-    bodies = float(context.model.forces.walking.radius) + float(load("kuri").radius)
+    bodies = _bodies(context)
     touched = float((nearest < bodies).mean())
     clearance = float(nearest.mean())
     spread_out = float(nearest.std())
@@ -254,7 +295,6 @@ def compare_clearance(
 
     # The curve is the distribution of distances.
     ranked = np.sort(nearest)
-    shares = (np.arange(len(ranked)) + 1.0) / len(ranked)
 
     as_near = abs(clearance - CLEARANCE) <= within
     as_wide = least <= spread_out <= most
@@ -264,12 +304,22 @@ def compare_clearance(
         f"touched in {100 * most_touched:.0f} % at most; nearest {CLEARANCE:g} ± {within:g} m on average{wanted}",
         numbers={"touched": touched, "clearance": clearance, "clearance_deviation": spread_out},
         curves=(
-            curve("model", ranked, shares),
+            curve("model", ranked, _cumulative(ranked)),
             reference("bodies touch", (bodies, bodies), (0.0, 1.0)),
             reference("people, 0.83 m", (CLEARANCE, CLEARANCE), (0.0, 1.0)),
         ),
         axes=("least distance of the middles [m]", "share of encounters"),
     )
+
+
+def _bodies(context: CheckContext) -> float:
+    """The distance [m] at which a person and Kuri touch."""
+    return float(context.model.forces.walking.radius) + float(load("kuri").radius)
+
+
+def _cumulative(ranked: np.ndarray) -> np.ndarray:
+    """The share of encounters up to each of them."""
+    return (np.arange(len(ranked)) + 1.0) / len(ranked)
 
 
 def _times(tracks: Tracks) -> np.ndarray:

@@ -308,6 +308,20 @@ def separation(a: Float[Any, "T *shape 2"], b: Float[Any, "T *shape 2"]) -> Floa
     return distance.min(0)
 
 
+def least_speed_share(
+    position: Float[np.ndarray, "T N 2"], other: Float[np.ndarray, "T 2"], within: float
+) -> Float[np.ndarray, "N"]:
+    """(N,) the least speed of people nearer than ``within`` [m] to another body, over their first speed; NaN if never.
+
+    Both are at the same moments, and a speed is a step between two.
+    """
+    steps = np.linalg.norm(np.diff(position, axis=0), axis=-1)  # (T - 1, N) m
+    distance = np.linalg.norm(position - other[:, None], axis=-1)  # (T, N) m
+    near = np.minimum(distance[1:], distance[:-1]) < within
+    least = np.where(near, steps, np.inf).min(0)
+    return np.where(near.any(0), least, np.nan) / steps[0]
+
+
 def body_gaps(
     position: Float[Any, "*T N 2"],
     facing: Float[Any, "*T N 2"],

@@ -266,6 +266,24 @@ def test_a_robot_touches_whoever_does_not_give_way():
     assert CHECKS["passing-robot"].run(context(shifted)).numbers["touched"] < 0.05
 
 
+def test_people_have_to_slow_down_for_a_robot_that_comes_at_them_but_not_to_stop():
+    def braking(share):
+        def walk(scenario, state):
+            away = jnp.linalg.norm(state.pedestrians.position - state.robot.position[None], axis=-1)
+            stepped = shifted(scenario, state)
+            speed = jnp.where(away < 2.5, share, 1.0)[:, None]
+            return moved(state.pedestrians, speed * stepped.velocity, scenario.time_step)
+
+        return walk
+
+    found = {share: CHECKS["approached"].run(context(braking(share))) for share in (1.0, 0.8, 0.3)}
+    assert [one.passed for one in found.values()] == [False, True, False]
+    for share, one in found.items():
+        assert one.numbers["slowest"] == pytest.approx(share, abs=0.01) and one.numbers["touched"] < 0.02
+    broken = CHECKS["approached"].run(context(straight))
+    assert not broken.passed and broken.numbers["touched"] == pytest.approx(0.36 / individuals.MISS, abs=0.15)
+
+
 def test_clearances_pass_with_the_mean_and_the_spread_of_people():
     limits = CHECKS["passing-robot"].arguments
     usual = np.random.default_rng(4).normal(0.83, 0.26, 4000).clip(0.4)

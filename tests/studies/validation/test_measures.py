@@ -203,6 +203,17 @@ def test_pairs_walk_side_by_side_or_one_behind_the_other():
     assert not len(measures.company(still, there, np.array([[0, 1]]), 0.1).spacing)
 
 
+def test_the_least_speed_counts_only_near_the_other():
+    """Of three people who brake to 0.4 m/s for a second: beside the other, far from it, and not at all near it."""
+    speed = np.full((40, 3), 1.0)
+    speed[20:30, 0] = speed[5:9, 1] = 0.4
+    x = np.concatenate([np.zeros((1, 3)), np.cumsum(0.1 * speed, axis=0)])
+    position = np.stack([x, np.broadcast_to([0.0, 1.0, 5.0], x.shape)], -1)
+    share = measures.least_speed_share(position, np.broadcast_to([2.5, 0.0], (41, 2)), 2.0)
+    np.testing.assert_allclose(share[:2], [0.4, 1.0], rtol=1e-6)
+    assert np.isnan(share[2])
+
+
 def test_steps_go_the_shorter_way_around_a_period():
     walked = np.cumsum(np.random.default_rng(3).uniform(-1.0, 1.0, (50, 9)), axis=0)
     np.testing.assert_allclose(measures.steps_along(walked % 24.0, 24.0), np.diff(walked, axis=0), atol=1e-9)
