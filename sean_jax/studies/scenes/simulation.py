@@ -89,7 +89,7 @@ def _batches(scenes: list[Scene]) -> list[list[int]]:
         many = len(scene.gates) > GATES[0]
         alone = index if size >= LARGE else -1
         choice = bool(scene.exits)
-        kind = size, scene.period is None, choice, late, company, many, alone
+        kind = size, scene.period is None, choice, late, company, many, scene.intent is None, alone
         kinds.setdefault(kind, []).append(index)
 
     batches = []
