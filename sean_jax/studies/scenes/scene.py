@@ -339,11 +339,12 @@ def stage(scenario: Scenario, scene: Scene) -> State:
     """The first state of a scene in its scenario, without a robot task."""
     place, velocity = scene.robot or ((AWAY, AWAY), (0.0, 0.0))
     key = random_streams.key("scene", scene.seed)
-    return _first_state(scenario, key, jnp.asarray(place, float), jnp.asarray(velocity, float))
+    return first_state(scenario, key, jnp.asarray(place, float), jnp.asarray(velocity, float))
 
 
 @jax.jit
-def _first_state(scenario: Scenario, key: Array, place: Array, velocity: Array) -> State:
+def first_state(scenario: Scenario, key: Array, place: Array, velocity: Array) -> State:
+    """The first state with a robot at a place [m], at a velocity [m/s]."""
     pedestrians, groups, memory = scenario.behavior.reset(scenario, key)
     traits_key = jax.random.fold_in(key, random_streams.TRAITS)
     pedestrians = social_forces.individualize(scenario.forces, pedestrians, traits_key)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
@@ -352,7 +353,7 @@ def intended_scenes(windows: list[Street], intent: Intent) -> list[Scene]:
     usual = usual_speed(windows)
     scenes = []
     for number, street in enumerate(windows):
-        speed = np.asarray(lasting_speed(intent, street.speed, usual))
+        speed = np.asarray(lasting_speed(intent, jnp.asarray(street.speed), usual))
         scene = walked_again(replace(street, speed=speed), intent)
         scenes.append(replace(scene, seed=number))
     return scenes
