@@ -3,27 +3,39 @@
 sean calibrate --data RECORDINGS --fit intent --out runs/intent
 python benchmarks/intent.py --data RECORDINGS --fits runs/intent/results.json --out benchmarks/results/intent.json
 
-Each scene is walked by four kinds of people: at constant velocity, by the two habits of average people alone, by the
-constants of all scenes, and by those that have not seen it. Of draws the file has the energy score, the mean errors
-and the error of the mean path, and of average people the errors. Sideways deviations are those of the check motion.
+Each scene is walked at constant velocity, by two habits alone, by the constants of all scenes, and by those that have
+not seen it. Of draws the file has the energy score, the mean errors and the error of the mean path; of average
+people, who have no noise, the errors. Sideways deviations are those of the check motion.
 """
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from options import Option, parse
 
 from sean_jax.people.intent import Intent
-from sean_jax.studies.calibration.intent import FIELDS, RecordedScene, energy_score, recorded_scenes
+from sean_jax.studies.calibration.intent import (
+    FIELDS,
+    RecordedScene,
+    Walks,
+    energy_score,
+    recorded_scenes,
+    walk_alone,
+    walks_of,
+)
 from sean_jax.studies.scenes import Model, model, simulate
 from sean_jax.studies.validation import recorded
 from sean_jax.studies.validation.measures import sideways
 from sean_jax.studies.validation.streets import STRIDE, streets, walked_again
 
+STRAIGHT = Intent(speed_share=1.0, turn_time=0.0).average()
+ALONE_DRAWS = 16
 HABITS = Intent(speed_share=0.9, turn_time=1.1).average()  # of the scenes with all, by the error of average people
 STREET_NAMES = "eth", "hotel", "zara01"
 
@@ -60,25 +72,28 @@ def _in_one_array(windows: list[np.ndarray]) -> np.ndarray:
     return np.concatenate(rows, axis=1)
 
 
-def scores(scene: RecordedScene, intent: Intent | None, people: Model, draws: int) -> dict[str, float]:
-    """The errors of average people and of draws; constant velocity without intent."""
+def of_average(scene: RecordedScene, intent: Intent | None, people: Model) -> dict[str, float]:
+    """The errors of average people."""
+    if intent is not None:
+        intent = intent.average()
+    alike = replace(people, move=recorded.Average(people.move))
+    (walked,) = walk(scene, intent, alike, 1)
+    return _errors(scene, walked)
+
+
+def of_draws(scene: RecordedScene, intent: Intent, people: Model, draws: int) -> dict[str, float]:
+    """The energy score [m] of several draws, their mean errors, and the error of their mean path."""
     place = _in_one_array([street.position for street in scene.windows])
     counted = _in_one_array(scene.counted)
-    if intent is None:
-        (alone,) = walk(scene, None, model("constant_velocity"), 1)
-        return _errors(scene, alone)
-
-    alike = replace(people, move=recorded.Average(people.move))
-    (average,) = walk(scene, intent.average(), alike, 1)
     drawn = walk(scene, intent, people, draws)
     score, _ = energy_score(jnp.asarray(drawn), jnp.asarray(place))
-    single = [_errors(scene, one) for one in drawn]
     mean_path = np.linalg.norm(drawn.mean(0) - place, axis=-1)
-
-    values = {"energy_score": float(np.asarray(score)[counted].mean())}
-    values |= {f"average_{name}": value for name, value in _errors(scene, average).items()}
-    values |= {f"draws_{name}": float(np.mean([one[name] for one in single])) for name in single[0]}
-    return values | {"mean_path_mae": float(mean_path[counted].mean())}
+    values = {
+        "energy_score": float(np.asarray(score)[counted].mean()),
+        "mean_path_mae": float(mean_path[counted].mean()),
+    }
+    single = [_errors(scene, one) for one in drawn]
+    return values | {name: float(np.mean([one[name] for one in single])) for name in single[0]}
 
 
 def _errors(scene: RecordedScene, positions: np.ndarray) -> dict[str, float]:
@@ -94,6 +109,43 @@ def _errors(scene: RecordedScene, positions: np.ndarray) -> dict[str, float]:
         weights.append(counted.sum())
     mean = recorded.mean_errors(parts, weights)
     return {"mae": mean.mae, "ot": mean.ot, "mmd": mean.mmd}
+
+
+def of_people_alone(scenes: dict[str, RecordedScene], fits: dict[str, Intent]) -> dict[str, dict[str, float]]:
+    """Of each scene the mean error of average people and the energy score of draws [m], where nobody meets anybody.
+
+    Draws are by the constants that have not seen the scene: with all of them, with those of speed, and of routes.
+    """
+    walks = walks_of(scenes)
+    kinds = {"constant velocity": STRAIGHT, "habits, average": HABITS, "all, average": fits["all"].average()}
+    values = {name: {} for name in scenes}
+    for kind, intent in kinds.items():
+        for name, error in zip(scenes, alone_scores(walks, intent, 1, len(scenes)), strict=True):
+            values[name][kind] = error
+    for number, name in enumerate(scenes):
+        values[name]["left out, average"] = alone_scores(walks, fits[name].average(), 1, len(scenes))[number]
+        only_speed = replace(fits[name], route_deviation=0.0)
+        only_route = replace(fits[name], speed_deviation=0.0)
+        for kind, intent in {"draws": fits[name], "draws of speed": only_speed, "draws of route": only_route}.items():
+            values[name][f"left out, {kind}"] = alone_scores(walks, intent, ALONE_DRAWS, len(scenes))[number]
+    return values
+
+
+def alone_scores(walks: list[Walks], intent: Intent, draws: int, scenes: int) -> list[float]:
+    """The energy score [m] of each scene of draws who walk alone; of one draw the mean distance."""
+    intent = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), intent)
+    keys = jax.random.split(jax.random.key(1), draws)
+    sums = np.sum([np.asarray(_sums_alone(intent, part, keys, scenes)) for part in walks], axis=0)
+    return (sums[0] / sums[1]).tolist()
+
+
+@partial(jax.jit, static_argnums=3)
+def _sums_alone(intent: Intent, walks: Walks, keys: jax.Array, scenes: int) -> jax.Array:
+    """(2, E) of each scene the sum of the scores [m], and the number of people and moments."""
+    drawn = jax.vmap(partial(walk_alone, intent, walks))(keys)
+    score, _ = energy_score(drawn, walks.place)
+    each = jnp.stack([jnp.where(walks.counted, score, 0.0).sum(0), walks.counted.astype(float).sum(0)])
+    return jax.vmap(lambda row: jax.ops.segment_sum(row, walks.scene, scenes))(each)
 
 
 def deviations(path: Path, intent: Intent | None, people: Model) -> dict[str, float]:
@@ -132,31 +184,45 @@ def main() -> None:
         __doc__,
         data=Option(None, kind=Path, required=True),
         fits=Option(None, kind=Path, required=True),
-        draws=Option(8, kind=int),
+        draws=2,
+        scenes=[],
+        parts=["alone", "sideways", "scenes"],
         out=Option(None, kind=Path),
     )
     people = model()
     fits = intents(options.fits)
-    results: dict[str, Any] = {"draws": options.draws, "constants": {}, "scenes": {}, "sideways": {}}
+    results: dict[str, Any] = {"draws": options.draws, "constants": {}, "alone": {}, "scenes": {}, "sideways": {}}
     for label, intent in fits.items():
         results["constants"][label] = rounded({field: getattr(intent, field) for field in FIELDS})
 
-    def keep(kind: str, name: str, values: dict[str, dict[str, float]]) -> None:
+    def keep(kind: str, name: str, values: dict[str, Any]) -> None:
         results[kind][name] = rounded(values)
         print(name, json.dumps(results[kind][name]), flush=True)
         if options.out is not None:
             options.out.write_text(json.dumps(results, indent=1) + "\n")
 
-    for name in STREET_NAMES:
+    all_scenes = recorded_scenes(options.data)
+    if "alone" in options.parts:
+        for name, values in of_people_alone(all_scenes, fits).items():
+            keep("alone", name, values)
+
+    for name in STREET_NAMES if "sideways" in options.parts else ():
         path = options.data / "eth_ucy" / f"{name}.csv"
         of_kinds = {"without": deviations(path, None, people), "all": deviations(path, fits["all"], people)}
         keep("sideways", name, of_kinds)
 
-    for name, scene in recorded_scenes(options.data).items():
-        kinds = {"constant_velocity": None, "habits": HABITS, "all": fits["all"]}
-        if name in fits:
-            kinds["left_out"] = fits[name]
-        keep("scenes", name, {kind: scores(scene, intent, people, options.draws) for kind, intent in kinds.items()})
+    for name, scene in all_scenes.items():
+        if "scenes" not in options.parts or (options.scenes and name not in options.scenes):
+            continue
+        values = {
+            "constant velocity": of_average(scene, None, model("constant_velocity")),
+            "habits, average": of_average(scene, HABITS, people),
+            "all, average": of_average(scene, fits["all"], people),
+        }
+        keep("scenes", name, values)
+        values["habits, draws"] = of_draws(scene, HABITS, people, options.draws)
+        values["left out, draws"] = of_draws(scene, fits[name], people, options.draws)
+        keep("scenes", name, values)
 
 
 if __name__ == "__main__":

@@ -24,10 +24,10 @@ class Intent:
     """The constants; the defaults are those of ``sean calibrate --fit intent``, rounded."""
 
     speed_share: Float[Array, ""] | float = 0.9  # of the difference between the first and the usual speed, that lasts
-    speed_deviation: Float[Array, ""] | float = 0.0  # 1, of the logarithm of the wanted speed, after a long time
-    speed_time: Float[Array, ""] | float = 20.0  # s, in which that is forgotten
-    turn_time: Float[Array, ""] | float = 1.1  # s, in which the wanted direction turns to the goal; 0: at once
-    route_deviation: Float[Array, ""] | float = 0.0  # rad, of the angle between a route and the way to the goal
+    speed_deviation: Float[Array, ""] | float = 0.24  # 1, of the logarithm of the wanted speed, after a long time
+    speed_time: Float[Array, ""] | float = 30.0  # s, in which that is forgotten
+    turn_time: Float[Array, ""] | float = 1.5  # s, in which the wanted direction turns to the goal; 0: at once
+    route_deviation: Float[Array, ""] | float = 0.09  # rad, of the angle between a route and the way to the goal
 
     def average(self) -> "Intent":
         """The intent of average people, who have no deviations."""

@@ -42,6 +42,8 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
         WriteError: the folder cannot be written.
     """
     folder = options.folder
+    if options.in_crowd and listed(options.fit) != [INTENT]:
+        raise InputError("in_crowd: is of intent; give --fit intent, or leave it out.")
     with _workspace(options).open() as work, progress(console) as bar:
         bar.stage("reading the recordings")
         if listed(options.fit) == [INTENT]:
