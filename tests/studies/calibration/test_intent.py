@@ -63,7 +63,7 @@ def test_people_who_walk_alone_begin_when_they_come():
     place = np.cumsum(np.full((6, 2, 2), [0.5, 0.0]), 0)
     there = np.ones((6, 2), bool)
     there[:2, 1] = False
-    goal = place[-1]
+    goal = place[-1] + [5.0, 0.0]  # who is near the goal has arrived
     scene = RecordedScene([Street(place, there, goal, np.full(2, 1.25), np.full(2, -1))], [there])
     (walks,) = fitting.walks_of({"made": scene})
     np.testing.assert_allclose(walks.start[:, 0], [0.5, 1.5])
@@ -99,7 +99,7 @@ def test_the_crowd_has_a_gradient_and_is_as_alone_without_forces():
     (alone,) = fitting.walks_of(scenes)
     (free,) = fitting.crowds_of(scenes, model("constant_velocity"))
     by_step = fitting.losses_in_crowd(habits, free, keys, 1)
-    np.testing.assert_allclose(by_step, fitting.losses_alone(habits, alone, keys, 1), rtol=0.05)
+    np.testing.assert_allclose(by_step, fitting.losses_alone(habits, alone, keys, 1), rtol=0.1)
 
     (crowd,) = fitting.crowds_of(scenes, model())
     differ = jax.tree.map(jnp.asarray, Intent(0.6, 0.2, 5.0, 1.5, 0.1))
