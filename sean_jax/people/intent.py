@@ -21,16 +21,16 @@ FADE = 2.0  # m from the goal, within which the route becomes straight
 
 @struct.dataclass
 class Intent:
-    """The constants; the defaults are those of ``sean calibrate --fit intent``, rounded, without deviations.
+    """The constants; the defaults are best in the crowd, as docs/calibration.md tells.
 
-    That fit has deviations of .24 and .09 rad for people who walk alone. In a crowd, noise and differences of the forces
-    spread people, too, and with both they differ too much.
+    ``sean calibrate --fit intent`` finds .9, .24, 32 s, 1.5 s and .09 rad for people who walk alone. In a crowd, noise
+    and differences of the forces spread people, too, and with both they differ too much.
     """
 
     speed_share: Float[Array, ""] | float = 0.9  # of the difference between the first and the usual speed, that lasts
     speed_deviation: Float[Array, ""] | float = 0.0  # 1, of the logarithm of the wanted speed, after a long time
     speed_time: Float[Array, ""] | float = 30.0  # s, in which that is forgotten
-    turn_time: Float[Array, ""] | float = 1.5  # s, in which the wanted direction turns to the goal; 0: at once
+    turn_time: Float[Array, ""] | float = 1.1  # s, in which the wanted direction turns to the goal; 0: at once
     route_deviation: Float[Array, ""] | float = 0.0  # rad, of the angle between a route and the way to the goal
 
     def average(self) -> "Intent":
