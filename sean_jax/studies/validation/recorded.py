@@ -353,7 +353,7 @@ def intended_scenes(windows: list[Street], intent: Intent) -> list[Scene]:
     usual = usual_speed(windows)
     scenes = []
     for number, street in enumerate(windows):
-        speed = np.asarray(lasting_speed(intent, jnp.asarray(street.speed), usual))
+        speed = np.asarray(lasting_speed(intent, jnp.asarray(street.speed), usual), float)
         scene = walked_again(replace(street, speed=speed), intent)
         scenes.append(replace(scene, seed=number))
     return scenes
