@@ -37,6 +37,8 @@ def test_routes_differ_by_their_deviation_and_end_at_the_goal():
     # A route to the left of a way along x, which a loop in 64 bits walks in steps of 5 cm.
     bent = Latents(jnp.zeros(1), jnp.full(1, 0.3))
     at_once = replace(INTENT, turn_time=0.0)
+    near = wanted_velocity(at_once, bent, jnp.zeros((1, 2)), jnp.array([[1.0, 0.0]]), jnp.ones(1), 0.05)
+    np.testing.assert_allclose(near, [[np.cos(0.15), np.sin(0.15)]], rtol=1e-5)
     place, goal, sideways = np.zeros((1, 2)), np.array([[10.0, 0.0]]), []
     for _ in range(215):
         way = jnp.asarray(goal - place)
