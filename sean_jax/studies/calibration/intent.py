@@ -188,7 +188,7 @@ def walk_alone(intent: Intent, walks: Walks, key: Array) -> Float[Array, "T N 2"
 
 
 @struct.dataclass
-class Crowd:
+class CrowdWindows:
     """B windows whose scenarios have equal shapes, and where their people really were."""
 
     scenarios: Scenario  # (B,)
@@ -198,7 +198,7 @@ class Crowd:
     scene: Int[Array, "B"]
 
 
-def crowds_of(scenes: dict[str, RecordedScene], model: Model) -> list[Crowd]:
+def crowds_of(scenes: dict[str, RecordedScene], model: Model) -> list[CrowdWindows]:
     """The windows of all scenes, in groups of equal shapes, moved by a model."""
     rows: dict[Any, list[tuple]] = {}
     for number, (windows, moments) in enumerate(scenes.values()):
@@ -219,7 +219,7 @@ def crowds_of(scenes: dict[str, RecordedScene], model: Model) -> list[Crowd]:
             counts[k, :, :number] = chosen
             place[k, :, :number] = np.where(chosen[..., None], position[k], 0.0)
         arrays = np.array(usual), place, counts, np.array(scene, np.int32)
-        crowds.append(Crowd(simulation.stacked(scenarios), *map(_on_device, arrays)))
+        crowds.append(CrowdWindows(simulation.stacked(scenarios), *map(_on_device, arrays)))
     return crowds
 
 
@@ -257,7 +257,7 @@ def losses_alone(intent: Intent, walks: Walks, keys: Array, scenes: int) -> Floa
     return jax.ops.segment_sum(both, walks.scene, scenes)
 
 
-def losses_in_crowd(intent: Intent, crowd: Crowd, keys: Array, scenes: int) -> Float[Array, "E"]:
+def losses_in_crowd(intent: Intent, crowd: CrowdWindows, keys: Array, scenes: int) -> Float[Array, "E"]:
     """As ``losses_alone``, of people who meet others."""
 
     def window(scenario: Scenario, usual: Array, place: Array, counted: Array) -> Array:
@@ -291,7 +291,7 @@ class IntentJudge:
         self.scenes = tuple(scenes)
         self._keys = jax.random.split(random_streams.key("calibrate", seed), draws)
         walks = walks_of(scenes)
-        self._parts: list[Walks] | list[Crowd] = walks
+        self._parts: list[Walks] | list[CrowdWindows] = walks
         self._losses = losses_alone
         if crowd is not None:
             self._parts = crowds_of(scenes, crowd)

@@ -233,6 +233,7 @@ def walkers_behavior(
     Raises:
         InputError: a route names a gate that does not exist, or there are too many gates.
     """
+    # Tables of gates have few sizes, since every new shape compiles again.
     route = np.asarray(people.route)
     number = len(gates)
     padded = next((size for size in GATES if size >= number), None)
@@ -253,6 +254,7 @@ def walkers_behavior(
     if (people.companion >= 0).any():
         companions = jnp.asarray(people.companion, jnp.int32)
 
+    # Constants of intent are leaves, with a type of their own, so that other values compile nothing again.
     intent = jax.tree.map(lambda leaf: np.asarray(leaf, float), intent)
     arrays = jax.device_put((people, table, is_exit, np.asarray(period, float), intent))
     arrays = jax.tree.map(lambda leaf: leaf.astype(float) if leaf.dtype.kind == "f" else leaf, arrays)
