@@ -21,10 +21,10 @@ FADE = 2.0  # m from the goal, within which the route becomes straight
 
 @struct.dataclass
 class Intent:
-    """The constants; the defaults are best in the crowd, as docs/calibration.md tells.
+    """The constants; the defaults are two habits of average people.
 
     ``sean calibrate --fit intent`` finds .9, .24, 32 s, 1.5 s and .09 rad for people who walk alone. In a crowd, noise
-    and differences of the forces spread people, too, and with both they differ too much.
+    and differences of the forces spread people, too: with both, scenes differ in whether errors fall.
     """
 
     speed_share: Float[Array, ""] | float = 0.9  # of the difference between the first and the usual speed, that lasts
