@@ -41,6 +41,7 @@ USES = (
 
 TRAITS = zlib.crc32(b"traits")  # folded into the key of an episode: the traits and the first noise of people
 TEAM = zlib.crc32(b"team")  # and the tasks of the robots of a team, but for the first
+INTENT = zlib.crc32(b"intent")  # and the latents of their intent, and the noise of it
 NOISE = zlib.crc32(b"noise")  # and the noise of people in its steps
 
 

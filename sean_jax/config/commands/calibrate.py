@@ -18,7 +18,9 @@ class CalibrateConfig(Config):
     """Start of the fit: a preset of social forces, or a YAML file of constants."""
     fit: option_types.Names | None = None
     """Constants to fit, separated by commas, such as repulsion.range; by default all that have bounds. none: the habits
-    of prediction alone, without crowds."""
+    of prediction alone, without crowds. intent: how people walk to their goals, alone."""
+    in_crowd: bool = False
+    """Fit intent to people who meet others in the ordinary simulator, not to people who walk alone; slow on a CPU."""
     leave_out: option_types.Names | None = None
     """Scenes of prediction, separated by commas, for leave-one-out fits, each judged by the scene that it lacks; all by
     default, or none."""

@@ -1,4 +1,4 @@
-"""``sean calibrate``: the constants of the social forces, by one loss of crowds and of recorded people.
+"""``sean calibrate``: the constants of the social forces, by one loss of crowds and of recorded people, or of intent.
 
 One fit is to all scenes. Each other one leaves out a scene of prediction, which tests it. The loss has its rows and
 their sources in targets.yaml. Importing this imports no JAX.
@@ -21,12 +21,14 @@ from sean_jax.io.versions import versions
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from sean_jax.studies.calibration.intent import IntentJudge
     from sean_jax.studies.calibration.search import Judge, Search
 
 __all__ = ["run"]
 
 OPTIONS, UNFINISHED, RESULTS, REPORT = "calibration.json", "unfinished.npz", "results.json", "report.html"
 FORCES = "forces.yaml"
+INTENT = "intent"  # as the constants to fit: those of intent, which no force has
 EVERY = 10.0  # s between two savings of an unfinished fit
 
 
@@ -40,8 +42,12 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
         WriteError: the folder cannot be written.
     """
     folder = options.folder
+    if options.in_crowd and listed(options.fit) != [INTENT]:
+        raise InputError("in_crowd: is of intent; give --fit intent, or leave it out.")
     with _workspace(options).open() as work, progress(console) as bar:
         bar.stage("reading the recordings")
+        if listed(options.fit) == [INTENT]:
+            return _run_intent(options, work, bar)
         from sean_jax.social_forces import build
         from sean_jax.studies.calibration import page, windows
         from sean_jax.studies.calibration.fitting import names_of
@@ -69,6 +75,48 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
     return folder
 
 
+def _run_intent(options: CalibrateConfig, work: Workspace, bar: Any) -> Path:
+    """Fit the constants of intent, and write results.json and report.html."""
+    from sean_jax.studies.calibration import page
+    from sean_jax.studies.calibration.intent import IntentJudge, recorded_scenes
+    from sean_jax.studies.scenes import model
+
+    folder = options.folder
+    scenes = recorded_scenes(options.data, options.quick)
+    left_out = _left_out(options, list(scenes))
+    writing.write(folder / OPTIONS, {**work.identity, "versions": versions()})
+    judge = IntentJudge(scenes, model(options.forces) if options.in_crowd else None, seed=options.seed)
+    search = _search(judge, options, left_out, work, bar)
+    results = _evaluate_intent(judge, search, left_out)
+    writing.write(folder / RESULTS, results)
+    writing.write(folder / REPORT, page.html(options, results))
+    (folder / UNFINISHED).unlink(missing_ok=True)
+    return folder
+
+
+def _evaluate_intent(judge: IntentJudge, search: Search, left_out: list) -> dict[str, Any]:
+    """The best constants of each fit, and the loss of each scene with them and before."""
+    import numpy as np
+
+    from sean_jax.studies.calibration.fitting import BOUNDS, from_free
+    from sean_jax.studies.calibration.loss import total
+
+    labels = ["all" if name is None else name for name in left_out]
+    tried, rows, chosen = _choose(judge, search, labels, left_out)
+    values = np.asarray(from_free(judge.names, tried))
+    loss = total(rows)
+    return {
+        "names": list(judge.names),
+        "bounds": {name: BOUNDS[name] for name in judge.names},
+        "parameters": {label: _floats(judge.names, values[index]) for label, index in chosen.items()},
+        "habits": {},
+        "loss": {label: float(loss[index]) for label, index in chosen.items()},
+        "rows": _row_results(rows, chosen),
+        "scores": {},
+        "losses": {label: [losses[k].tolist() for losses in search.losses] for k, label in enumerate(labels)},
+    }
+
+
 def _left_out(options: CalibrateConfig, scenes: list[str]) -> list[str | None]:
     """The scene that each fit leaves out; the first none."""
     chosen = listed(options.leave_out)
@@ -80,7 +128,7 @@ def _left_out(options: CalibrateConfig, scenes: list[str]) -> list[str | None]:
     return [None, *(chosen or scenes if len(scenes) > 1 else [])]
 
 
-def _search(judge: Judge, options: CalibrateConfig, left_out: list, work: Workspace, bar: Any) -> Search:
+def _search(judge: Judge | IntentJudge, options: CalibrateConfig, left_out: list, work: Workspace, bar: Any) -> Search:
     """All searches to their ends, from where an earlier command of the same options was stopped."""
     from sean_jax.studies.calibration.search import Search
 
@@ -126,7 +174,7 @@ def _evaluate(judge: Judge, search: Search, left_out: list, recordings: dict[str
 
 
 def _choose(
-    judge: Judge, search: Search, labels: list[str], left_out: list
+    judge: Judge | IntentJudge, search: Search, labels: list[str], left_out: list
 ) -> tuple[Any, dict[str, Any], dict[str, int]]:
     """Free parameters (K, P), their rows (K,), and which of them each fit takes.
 

@@ -57,7 +57,7 @@ class Judge:
 
 def left_out_rows(scene: str | None) -> tuple[str, ...]:
     """The rows without which constants are fitted that have not seen a scene."""
-    return () if scene is None else (f"prediction {scene}",)
+    return () if scene is None else (f"prediction {scene}", f"intent {scene}")
 
 
 class Search:

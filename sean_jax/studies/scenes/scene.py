@@ -34,6 +34,7 @@ from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import build_obstacle_grid
 from sean_jax.io.files import unknown_name
 from sean_jax.people import pedestrian_models
+from sean_jax.people.intent import Intent
 from sean_jax.social_forces import presets
 from sean_jax.social_forces.forces import Forces, Term
 from sean_jax.studies.scenes.walkers import AWAY, NEVER, Gate, Point, Walkers, padded_size, walkers_behavior
@@ -214,6 +215,7 @@ class Scene:
     exits: tuple[int, ...] = ()  # gates between which people choose
     robot: tuple[tuple[float, float], tuple[float, float]] | None = None  # place [m] and velocity [m/s], constant
     seed: int = 0  # of the random numbers of the simulation
+    intent: Intent | None = None  # of all people; None: they turn to their gates at once
 
     def robot_path(self, time: np.ndarray) -> np.ndarray:
         """(T, 2) m, where the robot is at times (T,) s; the origin without one."""
@@ -305,7 +307,9 @@ def scenario_of(scene: Scene, moved_by: Model | None = None) -> Scenario:
         InputError: a route names a gate that does not exist, or there are too many walls, gates or people.
     """
     chosen = model() if moved_by is None else moved_by
-    behavior = walkers_behavior(scene.walkers, scene.gates, exits=scene.exits, period=scene.period or 0.0)
+    behavior = walkers_behavior(
+        scene.walkers, scene.gates, exits=scene.exits, period=scene.period or 0.0, intent=scene.intent
+    )
     move = chosen.move if scene.period is None else Periodic(chosen.move)
     forces = chosen.forces
     one: Any = jax.device_put(np.asarray(1.0, float))
@@ -335,11 +339,12 @@ def stage(scenario: Scenario, scene: Scene) -> State:
     """The first state of a scene in its scenario, without a robot task."""
     place, velocity = scene.robot or ((AWAY, AWAY), (0.0, 0.0))
     key = random_streams.key("scene", scene.seed)
-    return _first_state(scenario, key, jnp.asarray(place, float), jnp.asarray(velocity, float))
+    return first_state(scenario, key, jnp.asarray(place, float), jnp.asarray(velocity, float))
 
 
 @jax.jit
-def _first_state(scenario: Scenario, key: Array, place: Array, velocity: Array) -> State:
+def first_state(scenario: Scenario, key: Array, place: Array, velocity: Array) -> State:
+    """The first state with a robot at a place [m], at a velocity [m/s]."""
     pedestrians, groups, memory = scenario.behavior.reset(scenario, key)
     traits_key = jax.random.fold_in(key, random_streams.TRAITS)
     pedestrians = social_forces.individualize(scenario.forces, pedestrians, traits_key)

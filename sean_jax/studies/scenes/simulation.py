@@ -89,7 +89,7 @@ def _batches(scenes: list[Scene]) -> list[list[int]]:
         many = len(scene.gates) > GATES[0]
         alone = index if size >= LARGE else -1
         choice = bool(scene.exits)
-        kind = size, scene.period is None, choice, late, company, many, alone
+        kind = size, scene.period is None, choice, late, company, many, scene.intent is None, alone
         kinds.setdefault(kind, []).append(index)
 
     batches = []
@@ -117,8 +117,8 @@ def _together(scenes: list[Scene], chosen: Model, report: Callable[[float], None
     # Filled up with copies of the first scene, whose results are dropped: few sizes, few programs.
     number = next(size for size in BATCHES if size >= len(scenes))
     missing = number - len(scenes)
-    scenario = _stacked(scenarios + [scenarios[0]] * missing)
-    state = _stacked(states + [states[0]] * missing)
+    scenario = stacked(scenarios + [scenarios[0]] * missing)
+    state = stacked(states + [states[0]] * missing)
 
     # Spans are short programs: a batch ends early when everybody has left.
     frames = [_snapshot(state)]
@@ -203,7 +203,7 @@ def _take(tree: Any, rows: np.ndarray) -> Any:
     return jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf)[rows]), tree)
 
 
-def _stacked(trees: Sequence[Any]) -> Any:
+def stacked(trees: Sequence[Any]) -> Any:
     """Trees of equal shapes as one, along a first axis."""
     return jax.tree.map(lambda *rows: _stack(rows), *trees)
 

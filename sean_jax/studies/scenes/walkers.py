@@ -15,9 +15,11 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int
 
+from sean_jax.core import random_streams
 from sean_jax.core.data_types import Array, Behavior, Groups, Pedestrians, Scenario, State
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import length, unit
+from sean_jax.people.intent import Intent, Latents, advance, draw, wanted_velocity
 from sean_jax.people.pedestrian_models import pedestrians_at
 from sean_jax.social_forces import draw_traits
 
@@ -55,7 +57,6 @@ class Walkers:
     preferred_speed: Float[Array, "N"]  # m/s
     entry_time: Float[Array, "N"]  # s, from which they enter, as soon as there is room
     reaction_time: Float[Array, "N"]  # s, from which they walk
-    turn_time: Float[Array, "N"]  # s, in which the direction that they want turns to their gate; 0: at once
     route: Int[Array, "N R"]  # indices of gates, in their order, -1 none; after the last one they vanish
     companion: Int[Array, "N 2"]  # indices of whom each walks with, -1 none
 
@@ -68,6 +69,7 @@ class Plan:
     gates: Float[Array, "G 2 2"]  # m, left and right end
     is_exit: Bool[Array, "G"]  # whether people choose between this gate and the others of which that is true
     period: Float[Array, ""]  # m along x, of a periodic scene
+    intent: Intent | None  # None: people turn to their gate at once, at their preferred speed
     sources: bool = struct.field(pytree_node=False)  # whether people enter later than at the start
     choice: bool = struct.field(pytree_node=False)  # whether there are exits to choose between
 
@@ -78,6 +80,7 @@ class Memory(NamedTuple):
     leg: Int[Array, "N"]  # number of gates passed
     gate: Int[Array, "N"]  # to which they walk, -1 none is left
     entered: Bool[Array, "N"]
+    latents: Latents | None = None  # None without intent
 
 
 def walkers(
@@ -89,7 +92,6 @@ def walkers(
     velocity: Point = (0.0, 0.0),
     entry_time: float | Float[np.ndarray, "N"] = 0.0,
     reaction_time: float | Float[np.ndarray, "N"] = 0.0,
-    turn_time: float | Float[np.ndarray, "N"] = 0.0,
     together: bool = False,
 ) -> Walkers:
     """People of one route, who start at (N, 2) m, such as ``spread`` draws.
@@ -98,7 +100,7 @@ def walkers(
         route: indices of gates, in their order; people vanish at the last one. Without a route they stand.
         speed: preferred speed [m/s], one for all or (N,); drawn from N(1.34, 0.26) if None.
         velocity: at the start [m/s].
-        entry_time: s, one for all or (N,); likewise ``reaction_time`` and ``turn_time``.
+        entry_time: s, one for all or (N,); likewise ``reaction_time``.
         together: whether they are a walking group: each walks beside the one before and the one after, and all prefer
             the speed of the slowest.
     """
@@ -118,7 +120,6 @@ def walkers(
         preferred_speed=_broadcast(speed, number),
         entry_time=_broadcast(entry_time, number),
         reaction_time=_broadcast(reaction_time, number),
-        turn_time=_broadcast(turn_time, number),
         route=np.broadcast_to(np.asarray(route, np.int32), (number, len(route))),
         companion=companion,
     )
@@ -215,17 +216,24 @@ def padded_size(number: int) -> int:
 
 
 def walkers_behavior(
-    people: Walkers, gates: Sequence[Gate], *, exits: Sequence[int] = (), period: float = 0.0
+    people: Walkers,
+    gates: Sequence[Gate],
+    *,
+    exits: Sequence[int] = (),
+    period: float = 0.0,
+    intent: Intent | None = None,
 ) -> Behavior:
     """The behavior of walkers, padded to shared sizes; its companions are None if nobody walks in company.
 
     Args:
         exits: indices of gates between which people choose.
         period: m along x, of a periodic scene.
+        intent: of all people.
 
     Raises:
         InputError: a route names a gate that does not exist, or there are too many gates.
     """
+    # Tables of gates have few sizes, since every new shape compiles again.
     route = np.asarray(people.route)
     number = len(gates)
     padded = next((size for size in GATES if size >= number), None)
@@ -246,7 +254,9 @@ def walkers_behavior(
     if (people.companion >= 0).any():
         companions = jnp.asarray(people.companion, jnp.int32)
 
-    arrays = jax.device_put((people, table, is_exit, np.asarray(period, float)))
+    # Constants of intent are leaves, with a type of their own, so that other values compile nothing again.
+    intent = jax.tree.map(lambda leaf: np.asarray(leaf, float), intent)
+    arrays = jax.device_put((people, table, is_exit, np.asarray(period, float), intent))
     arrays = jax.tree.map(lambda leaf: leaf.astype(float) if leaf.dtype.kind == "f" else leaf, arrays)
     plan = Plan(*arrays, sources=sources, choice=bool(is_exit.any()))
     return Behavior(
@@ -270,7 +280,6 @@ def _padded(people: Walkers, size: int) -> Walkers:
         preferred_speed=np.ones(more),
         entry_time=np.full(more, NEVER),
         reaction_time=np.zeros(more),
-        turn_time=np.zeros(more),
         companion=np.full((more, 2), -1, np.int32),
     )
     fields: dict[str, Any] = {}
@@ -304,7 +313,10 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     pairs = jnp.zeros((0, 2), float)
     groups = Groups(center=pairs, radius=jnp.zeros(0, float), opening=pairs, present=jnp.zeros(0, bool))
     leg = jnp.zeros(number, jnp.int32)
-    memory = Memory(leg, people.route[:, 0], entered=present)
+    latents = None
+    if plan.intent is not None:
+        latents = draw(plan.intent, jax.random.fold_in(key, random_streams.INTENT), number)
+    memory = Memory(leg, people.route[:, 0], present, latents)
     return pedestrians, groups, memory
 
 
@@ -351,16 +363,21 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
         )
         entered = entered | enters
 
-    # People turn to their gate and walk straight there, once they have reacted.
+    # People walk to their gate, once they have reacted: straight there, or as they intend to.
     ends = _ends(plan, gate)
     to_gate = aim_at(ends, people.position) - people.position
     walks = (gate >= 0) & (time >= table.reaction_time) & people.present
     speed = jnp.where(walks, people.preferred_speed, 0.0)
-    direction = jnp.stack(_unit_of(to_gate), -1)
-    direction = _turn(table, people, direction, scenario.time_step)
-    velocity = direction * speed[:, None]
+    latents = memory.latents
+    if plan.intent is None or latents is None:
+        velocity = jnp.stack(_unit_of(to_gate), -1) * speed[:, None]
+    else:
+        moved = advance(plan.intent, latents, jax.random.fold_in(key, random_streams.INTENT), scenario.time_step)
+        latents = moved._replace(speed=jnp.where(people.present, moved.speed, 0.0))
+        wanted = people.desired_velocity
+        velocity = wanted_velocity(plan.intent, latents, wanted, to_gate, speed, scenario.time_step)
     people = replace(people, desired_velocity=velocity)
-    return replace(state, pedestrians=people, memory=Memory(leg, gate, entered))
+    return replace(state, pedestrians=people, memory=Memory(leg, gate, entered, latents))
 
 
 def passed(gate: Float[Array, "N 2 2"], position: Float[Array, "N 2"]) -> Bool[Array, "N"]:
@@ -501,13 +518,3 @@ def _leaders(companions: Array) -> Array:
 
     lowest = jax.lax.fori_loop(0, number, spread_lowest, lowest)
     return jnp.where(lowest < number, lowest, -1)
-
-
-def _turn(table: Walkers, people: Pedestrians, direction: Float[Array, "N 2"], time_step: float) -> Array:
-    """(N, 2) the directions that people want, which turn to that of their gate in ``turn_time``; at once from rest."""
-    wanted = jnp.stack(_unit_of(people.desired_velocity), -1)
-    is_slow = (table.turn_time > 0.0) & (wanted != 0.0).any(1)
-    share = time_step / jnp.maximum(table.turn_time, time_step)
-    turned = wanted + share[:, None] * (direction - wanted)
-    turned = jnp.stack(_unit_of(turned), -1)
-    return jnp.where(is_slow[:, None], turned, direction)

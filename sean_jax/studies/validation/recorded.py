@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
@@ -20,17 +21,17 @@ from scipy.stats import wasserstein_distance
 
 from sean_jax import social_forces
 from sean_jax.core.data_types import Pedestrians, Scenario, State
+from sean_jax.people.intent import Intent, lasting_speed
 from sean_jax.people.recordings import Tracks
 from sean_jax.people.recordings.reading import read
 from sean_jax.studies.prediction import HABITS, evaluate, evaluate_samples, read_windows
-from sean_jax.studies.scenes import model
+from sean_jax.studies.scenes import Scene, model
 from sean_jax.studies.validation.checks import CheckContext, CheckResult, Skipped, result
 from sean_jax.studies.validation.measures import first_and_last
 from sean_jax.studies.validation.streets import STRIDE, TIME_STEP, Street, walked_again, windows_by_recording
 
 OBSERVED = 5  # moments (2 s) of each person that are known: their mean speed is preferred, and they are not counted
-SPEED_SHARE = 0.9  # of the difference of a person's speed in these 2 s from the usual one, that lasts
-TURN_TIME = 1.1  # s, in which the wanted direction turns to the goal; both are near those of ``benchmarks/intent.py``
+INTENT = Intent()
 SAMPLES = 20
 CLIP_RATE = 12.5  # frames per second of a clip
 TOUCH = 0.5  # m, between centers: nearer people collide [C24]
@@ -264,15 +265,17 @@ def _walk_again(
 
     Constant velocity, the mark, keeps the speed of a person's first 2 s, and turns to the goal at once.
     """
-    # All windows are simulated together: average people, people with noise, and the mark.
+    # All windows are simulated together: average people, people who differ and have noise, and the mark.
     average = replace(context, model=replace(context.model, move=Average(context.model.move)))
     straight = replace(context, model=model("constant_velocity"))
+    average_scenes = []
     scenes = []
     straight_scenes = []
     for windows in recordings.values():
-        scenes += [walked_again(street, TURN_TIME) for street in with_intended_speeds(windows)]
+        average_scenes += intended_scenes(windows, INTENT.average())
+        scenes += intended_scenes(windows, INTENT)
         straight_scenes += [walked_again(street) for street in windows]
-    average_tracks = iter(average.simulate(scenes))
+    average_tracks = iter(average.simulate(average_scenes))
     drawn_tracks = iter(context.simulate(scenes))
     straight_tracks = iter(straight.simulate(straight_scenes))
 
@@ -345,10 +348,20 @@ def with_first_speeds(street: Street) -> Street:
     return replace(street, speed=speed)
 
 
-def with_intended_speeds(windows: list[Street]) -> list[Street]:
-    """The windows of one recording, whose people prefer a speed between that of their first 2 s and the usual one."""
-    usual = np.median(np.concatenate([street.speed for street in windows]))
-    return [replace(street, speed=usual + SPEED_SHARE * (street.speed - usual)) for street in windows]
+def intended_scenes(windows: list[Street], intent: Intent) -> list[Scene]:
+    """The scenes of the windows of one recording, whose first speeds are known, with an intent; draws differ."""
+    usual = usual_speed(windows)
+    scenes = []
+    for number, street in enumerate(windows):
+        speed = np.asarray(lasting_speed(intent, jnp.asarray(street.speed), usual), float)
+        scene = walked_again(replace(street, speed=speed), intent)
+        scenes.append(replace(scene, seed=number))
+    return scenes
+
+
+def usual_speed(windows: list[Street]) -> float:
+    """The median speed [m/s] of people in the windows of one recording."""
+    return float(np.median(np.concatenate([street.speed for street in windows])))
 
 
 def counted(street: Street) -> Bool[np.ndarray, "T N"]:

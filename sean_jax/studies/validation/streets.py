@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from sean_jax.people.intent import Intent
 from sean_jax.people.recordings import Tracks, read, read_companions
 from sean_jax.studies.scenes import Gate, Scene, join, walkers
 from sean_jax.studies.validation.checks import (
@@ -117,12 +118,8 @@ def streets(path: str | Path) -> list[Street]:
     return windows
 
 
-def walked_again(street: Street, turn_time: float = 0.0) -> Scene:
-    """The scene in which people of a window enter when and where they did, and walk to where they left.
-
-    Args:
-        turn_time: s, in which the direction that they want turns to there.
-    """
+def walked_again(street: Street, intent: Intent | None = None) -> Scene:
+    """The scene in which people of a window enter when and where they did, and walk to where they left."""
     # Only ends are given: what is between them has to come from the model and can be compared.
     people = np.arange(street.present.shape[1])
     first = street.present.argmax(0)  # (N,)
@@ -142,7 +139,6 @@ def walked_again(street: Street, turn_time: float = 0.0) -> Scene:
             route=(k,),
             speed=street.speed[k],
             velocity=tuple(velocity[k]),
-            turn_time=turn_time,
         )
         crowd.append(person)
 
@@ -165,7 +161,7 @@ def walked_again(street: Street, turn_time: float = 0.0) -> Scene:
     # Who comes later enters at the time of the recording, so that density changes as it did.
     entering = replace(join(*crowd), entry_time=first * TIME_STEP, companion=companion)
     seconds = (len(street.present) - 1) * TIME_STEP
-    return Scene(NO_WALLS, entering, tuple(gates), seconds)
+    return Scene(NO_WALLS, entering, tuple(gates), seconds, intent=intent)
 
 
 class Walk(NamedTuple):

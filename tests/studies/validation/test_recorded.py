@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import support.tracks
+from sean_jax.people.intent import Intent
 from sean_jax.people.recordings import Tracks
 from sean_jax.studies.scenes import Gate, Scene, model, simulate, walkers
 from sean_jax.studies.validation import recorded, streets
@@ -17,6 +18,7 @@ from support.tracks import straight
 
 street = support.tracks.street  # a fixture
 
+STRAIGHT = Intent(speed_share=1.0, turn_time=0.0).average()
 points = np.random.default_rng(3).normal(0.0, 2.0, (4, 6, 2))
 
 
@@ -88,22 +90,20 @@ def test_who_has_left_stays_where_they_left():
 @pytest.fixture
 def without_intent(monkeypatch):
     """People keep the speed of their first 2 s, and turn to their goal at once."""
-    monkeypatch.setattr(recorded, "SPEED_SHARE", 1.0)
-    monkeypatch.setattr(recorded, "TURN_TIME", 0.0)
+    monkeypatch.setattr(recorded, "INTENT", STRAIGHT)
 
 
 def test_people_come_to_walk_as_usual(street):
     windows = [recorded.with_first_speeds(window) for window in streets.streets(street / "eth_ucy" / "made.csv")]
-    (window,) = recorded.with_intended_speeds(windows)
-    np.testing.assert_allclose(window.speed, [1.25, 1.25, 1.25 + recorded.SPEED_SHARE * 0.25], atol=1e-6)
+    (scene,) = recorded.intended_scenes(windows, replace(STRAIGHT, speed_share=0.6))
+    np.testing.assert_allclose(scene.walkers.preferred_speed, [1.25, 1.25, 1.25 + 0.6 * 0.25], atol=1e-6)
 
 
 def test_people_turn_to_their_gate_in_some_time():
     """From 1.2 m/s along x to a goal along y, as a loop over the steps has it."""
     gate = (Gate((-9.0, 30.0), (9.0, 30.0)),)
-    scene = Scene(
-        NO_WALLS, walkers(np.zeros((1, 2)), route=(0,), speed=1.2, velocity=(1.2, 0.0), turn_time=1.5), gate, 4.0
-    )
+    people = walkers(np.zeros((1, 2)), route=(0,), speed=1.2, velocity=(1.2, 0.0))
+    scene = Scene(NO_WALLS, people, gate, 4.0, intent=replace(STRAIGHT, turn_time=1.5))
     walked = np.asarray(simulate(scene, model("constant_velocity"))[0].position)[:, 0]
     place, direction = np.zeros(2), np.array([1.0, 0.0])
     for moment in walked[1:]:
