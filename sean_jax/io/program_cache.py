@@ -21,8 +21,9 @@ def keep_programs() -> None:
     """
     import jax  # here, for the command line configures XLA before it is imported
 
-    has_folder = jax.config.jax_compilation_cache_dir is not None
-    if has_folder or not jax.config.jax_enable_compilation_cache or not _can_write(folder()):
+    has_folder = jax.config.values["jax_compilation_cache_dir"] is not None
+    is_on = jax.config.values["jax_enable_compilation_cache"]
+    if has_folder or not is_on or not _can_write(folder()):
         return
     jax.config.update("jax_compilation_cache_dir", str(folder()))
     if TIME_SETTING not in os.environ:
