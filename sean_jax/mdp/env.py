@@ -5,6 +5,7 @@ another in the same step. A whole reset in each step would triple its time, so `
 ``step`` copies one of them.
 """
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -58,8 +59,8 @@ class Pool:
 class Env:
     """A scenario with an observation and a reward. ``make_env`` makes one.
 
-    It is a pytree: ``jax.jit(Env.step)(env, key, state, action)`` passes its tables as arguments, and
-    ``jax.jit(env.step)`` holds them as constants of the program.
+    It is a pytree. ``reset``, ``step`` and ``with_pool`` are compiled at their first call, with the tables of the
+    environment as arguments; ``jax.jit(env.step)`` holds them as constants of the program.
     """
 
     scenario: Scenario
@@ -89,6 +90,7 @@ class Env:
 
     # ------------------------------------------------------------------ episodes
 
+    @jax.jit
     def reset(self, key: Array, randomization: PyTree = None) -> tuple[dict[str, Array], EnvState]:
         """The first observation and state of an episode.
 
@@ -117,6 +119,7 @@ class Env:
         )
         return observation, state
 
+    @jax.jit
     def step(
         self, key: Array, state: EnvState, action: Float[Array, "2"]
     ) -> tuple[dict[str, Array], EnvState, Float[Array, ""], Bool[Array, ""], Bool[Array, ""], dict[str, Any]]:
@@ -196,8 +199,9 @@ class Env:
 
     # ------------------------------------------------------------------ variants
 
+    @functools.partial(jax.jit, static_argnames="size")
     def with_pool(self, key: Array, size: int) -> "Env":
-        """The environment with starts that are drawn now, whose ``step`` saves a reset; jit it with ``size`` static.
+        """The environment with starts that are drawn now, whose ``step`` saves a reset.
 
         Starts are taken at random, by the ``weights`` of the pool, which are equal. All chance after the start is the
         episode's own. The noise of a first observation is the start's.

@@ -42,6 +42,23 @@ def env(scenario):
     return make_env(scenario, TERMS, WEIGHTS, action_delay=(0, 2))
 
 
+def test_an_environment_compiles_itself(scenario):
+    """A loop in a notebook, without jit, traces each function once."""
+    traced = []
+
+    def counted(scenario, before, after):
+        traced.append(after)
+        return 0.0
+
+    own = make_env(scenario, ("goal",), {"counted": counted})
+    traced.clear()
+    own = own.with_pool(jax.random.key(0), 2)
+    _, state = own.reset(jax.random.key(0))
+    for k in range(3):
+        _, state, *_ = own.step(jax.random.key(k), state, jnp.zeros(2))
+    assert len(traced) == 1
+
+
 @pytest.fixture(scope="module")
 def episodes(env):
     """What 40 random steps of 8 environments give, stacked (T, B, ...), with what the simulation was before each."""
