@@ -421,7 +421,7 @@ def _choose_trips(
         free: who has no goal.
     """
     people = state.pedestrians
-    memory, gives_up = trips.wait(people, state.memory, scenario.time_step)
+    memory, gives_up = trips.wait(people, state.robot, state.memory, scenario.time_step)
     onward = free | trips.passes(graph, people, memory)
 
     # A few people choose in a step. A successor whose seat another person got is among them, now or later. Members of

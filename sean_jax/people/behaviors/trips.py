@@ -35,11 +35,12 @@ MIN_PUSH = 0.6  # m/s, ... but in a crowd at least this fast
 MIN_GAP = 0.3  # m, shortest distance for which a curve is computed
 BRAKING = 0.32  # m/s2, at which people slow down towards a place where they stop
 RETREAT = 1.5  # m, at least, that people who give up go back
-PATIENCE = 2.0  # s, after which people who do not get on give their goal up
-AHEAD_PENALTY = 1e4  # m, added to the distance of waypoints ahead of people who go back ...
+PATIENCE = 2.0  # s, after which people who do not get on give their goal up ...
+PATIENCE_AT_ROBOT = 1.0  # s, ... and beside a robot
+AHEAD_PENALTY = 1e4  # m, added to the distance of waypoints ahead of people who go back, and of the one given up ...
 ELSEWHERE_PENALTY = 1e3  # m, ... and of those without an edge to the last node, which may lie beyond a wall
 MIN_WANTED = 0.3  # m/s; people who want to be slower wait
-MIN_PROGRESS = 0.5  # of the speed that people want; slower ones do not get on
+MIN_PROGRESS = 0.3  # of the speed that people want; slower ones do not get on
 AT_ERRAND = 0.4  # m from the place of an errand
 BESIDE_ROBOT = 1.5  # m from a robot, where nobody has an errand
 HURRY_TIME = 1.0  # s, in which an errand ends if a robot comes
@@ -452,7 +453,9 @@ def _curvature(intent: Float[Array, "N 2"], gap: Float[Array, "N 2"]) -> Float[A
     return 2.0 * sine / distance
 
 
-def wait(people: Pedestrians, memory: GraphMemory, time_step: float) -> tuple[GraphMemory, Bool[Array, "N"]]:
+def wait(
+    people: Pedestrians, robot: Robot, memory: GraphMemory, time_step: float
+) -> tuple[GraphMemory, Bool[Array, "N"]]:
     """The memory with the time for which people have not got on, and whether they give their goal up.
 
     Args:
@@ -469,7 +472,8 @@ def wait(people: Pedestrians, memory: GraphMemory, time_step: float) -> tuple[Gr
     is_held_up = walks & (wanted_speed > MIN_WANTED) & (speed_ahead < MIN_PROGRESS * wanted_speed)
     change = jnp.where(is_held_up, time_step, -2.0 * time_step)
     blocked = jnp.maximum(memory.trip.blocked + change, 0.0)
-    gives_up = walks & (blocked > PATIENCE)
+    patience = jnp.where(_is_beside(robot, people.position), PATIENCE_AT_ROBOT, PATIENCE)
+    gives_up = walks & (blocked > patience)
     return memory.with_trip(blocked=blocked), gives_up
 
 
@@ -487,7 +491,7 @@ def turn_round(
         chance: uniform from 0 to 1.
     """
     assert memory.trip is not None
-    node = _waypoint_behind(graph, position, memory.trip.intent, memory.origin)
+    node = _waypoint_behind(graph, position, memory.trip.intent, memory)
     places = _some_places(graph, node, chance)  # (N, K, 2) m
     gap = places - position[:, None]
     farthest = jnp.argmax(length(*components(gap)), axis=1)
@@ -505,12 +509,12 @@ def turn_round(
 
 
 def _waypoint_behind(
-    graph: BehaviorGraph, position: Float[Array, "N 2"], intent: Float[Array, "N 2"], origin: Int[Array, "N"]
+    graph: BehaviorGraph, position: Float[Array, "N 2"], intent: Float[Array, "N 2"], memory: GraphMemory
 ) -> Int[Array, "N"]:
     """The nearest waypoint that does not lie ahead of people who want a velocity [m/s]; the nearest if all do.
 
     A waypoint within ``RETREAT`` is too near what is in the way. The last node and its neighbors come first: others
-    may lie beyond a wall, and the way there through what is in the way.
+    may lie beyond a wall, and the way there through what is in the way. So may the goal that people give up.
     """
     waypoints = graph.waypoints
     gap = graph.position[waypoints][None, :] - position[:, None]  # (N, Mw, 2) m
@@ -518,10 +522,11 @@ def _waypoint_behind(
     intent_x, intent_y = components(intent[:, None])
     distance = length(gap_x, gap_y)
     is_ahead = (gap_x * intent_x + gap_y * intent_y > 0.0) | (distance < RETREAT)
-    is_origin = waypoints[None, :] == origin[:, None]
-    is_near_origin = is_origin | jnp.isfinite(graph.edge_cost[origin][:, waypoints])
+    is_given_up = waypoints[None, :] == memory.goal[:, None]
+    is_origin = waypoints[None, :] == memory.origin[:, None]
+    is_near_origin = is_origin | jnp.isfinite(graph.edge_cost[memory.origin][:, waypoints])
     distance = jnp.where(is_near_origin, distance, distance + ELSEWHERE_PENALTY)
-    distance = jnp.where(is_ahead, distance + AHEAD_PENALTY, distance)
+    distance = jnp.where(is_ahead | is_given_up, distance + AHEAD_PENALTY, distance)
     distance = jnp.where(waypoints >= 0, distance, jnp.inf)
     nearest = jnp.argmin(distance, axis=1)
     return waypoints[nearest]

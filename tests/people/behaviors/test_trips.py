@@ -1,6 +1,7 @@
 """Trips on the Behavior Graph: errands, entrances, curves, and people who give up."""
 
 import itertools
+import types
 from dataclasses import replace
 
 import jax
@@ -273,18 +274,19 @@ def test_who_rises_from_a_seat_may_go_anywhere(lab):
 def test_walking_groups_come_in_and_leave_together():
     """All members of a group are always present, or none; they come in apart, and from time to time."""
     scenario = sean_jax.make("lab", people=6, walking_groups=(0.34, 0.5), task="random_ab_nav", dynamics="twin")
-    people, _ = jax.jit(lambda key: walk(scenario, key, 3000))(jax.random.key(0))
-    present, group = np.asarray(people.present), np.asarray(people.walking_group)[0]
+    run = jax.jit(jax.vmap(lambda key: walk(scenario, key, 3000)[0]))
+    people = jax.tree.map(np.asarray, run(jax.random.split(jax.random.key(0), 3)))
     changes = 0
-    for leader in np.unique(group[group >= 0]):
-        members = present[:, group == leader]
-        assert (members == members[:, :1]).all()
-        comes = np.flatnonzero(members[1:, 0] & ~members[:-1, 0]) + 1
-        changes += len(comes)
-        for moment in comes:
-            place = np.asarray(people.position)[moment, group == leader]
-            gaps = np.linalg.norm(place[:, None] - place, axis=-1)[~np.eye(len(place), dtype=bool)]
-            assert 0.2 < gaps.min() and gaps.max() < 1.6
+    for present, group, position in zip(people.present, people.walking_group[:, 0], people.position, strict=True):
+        for leader in np.unique(group[group >= 0]):
+            members = present[:, group == leader]
+            assert (members == members[:, :1]).all()
+            comes = np.flatnonzero(members[1:, 0] & ~members[:-1, 0]) + 1
+            changes += len(comes)
+            for moment in comes:
+                place = position[moment, group == leader]
+                gaps = np.linalg.norm(place[:, None] - place, axis=-1)[~np.eye(len(place), dtype=bool)]
+                assert 0.2 < gaps.min() and gaps.max() < 1.6
     assert changes >= 1
 
 
@@ -318,10 +320,11 @@ def test_who_does_not_get_on_gives_up(lab):
         trip=memory.trip._replace(intent=east, errand=jnp.zeros(n, jnp.int32)),
     )
     people = replace(state.pedestrians, velocity=jnp.zeros((n, 2)), present=jnp.ones(n, bool))
+    far = replace(state.robot, position=jnp.array([50.0, 50.0]))
     for _ in range(round(trips.PATIENCE / 0.1)):
-        memory, gives_up = trips.wait(people, memory, 0.1)
+        memory, gives_up = trips.wait(people, far, memory, 0.1)
         assert not np.asarray(gives_up).any() or np.asarray(memory.trip.blocked).min() > trips.PATIENCE - 0.05
-    memory, gives_up = trips.wait(people, memory, 0.1)
+    memory, gives_up = trips.wait(people, far, memory, 0.1)
     assert np.asarray(gives_up).all()
 
     graph = lab.behavior.data.graph
@@ -330,7 +333,13 @@ def test_who_does_not_get_on_gives_up(lab):
     behind = waypoint[:, 0] < np.asarray(people.position)[:, 0]
     all_ahead = (np.asarray(graph.position)[np.asarray(graph.waypoints), 0] > np.asarray(people.position)[:, :1]).all(1)
     assert (behind | all_ahead).all() and (np.asarray(after.hop) == np.asarray(after.goal)).all()
-    moving, gives_up = trips.wait(replace(people, velocity=east), memory, 0.1)
+    beside = replace(state.robot, position=people.position[0] + 0.5)
+    short = memory.with_trip(blocked=jnp.full(n, trips.PATIENCE_AT_ROBOT))
+    _, gives_up_here = trips.wait(people, beside, short, 0.1)
+    gap = np.asarray(people.position) - np.asarray(beside.position)
+    is_beside = np.linalg.norm(gap, axis=-1) < trips.BESIDE_ROBOT
+    assert (np.asarray(gives_up_here) == is_beside).all() and is_beside[0] and not is_beside.all()
+    moving, gives_up = trips.wait(replace(people, velocity=east), far, memory, 0.1)
     assert (np.asarray(moving.trip.blocked) < np.asarray(memory.trip.blocked)).all()
 
 
@@ -349,8 +358,17 @@ def test_who_gives_up_does_not_go_to_a_waypoint_beyond_a_wall():
     graph = annotation.build_graph(annotation.Annotation.model_validate(made), None)
     before_door, to_door = jnp.array([[-1.0, 1.2]]), jnp.array([[0.0, 1.0]])
     for origin in ("room_0", "door_0"):
-        node = trips._waypoint_behind(graph, before_door, to_door, jnp.array([graph.names.index(origin)]))
-        assert graph.names[int(node[0])] == "room_0"
+        assert back(graph, before_door, to_door, origin, "hall") == "room_0"
+
+    # Nor again to the one that is given up: the way there may lead through what is in the way.
+    assert back(graph, before_door, to_door, "door_0", "room_0") != "room_0"
+
+
+def back(graph, position, intent, origin, goal):
+    """The waypoint to which a person (1, 2) m goes who gives up a goal."""
+    node = {name: jnp.array([graph.names.index(name)]) for name in (origin, goal)}
+    memory = types.SimpleNamespace(origin=node[origin], goal=node[goal])
+    return graph.names[int(trips._waypoint_behind(graph, position, intent, memory)[0])]
 
 
 def test_trips_have_nodes_of_their_own(lab):
