@@ -422,7 +422,7 @@ def _check_entrance(name: str, entrance: Entrance) -> Iterator[files.Problem]:
         if len(interval) != 2:
             yield (*location, "times", index), f"{text} is not an interval; give its begin and its end, in seconds"
         elif interval[0] >= interval[1]:
-            yield (*location, "times", index), f"{text} ends before it begins; give the earlier time first"
+            yield (*location, "times", index), f"{text} does not end after it begins; give the earlier time first"
 
 
 def _check_order(name: str, key: str, limits: tuple[float, float] | None) -> Iterator[files.Problem]:

@@ -279,10 +279,17 @@ def _with_costs(graph: BehaviorGraph, edge_cost: Float[Array, "M M"]) -> Behavio
     if graph.tastes is None:
         cost, next_hop = cheapest_paths(edge_cost, graph.is_group)
         return replace(graph, edge_cost=edge_cost, cost=cost, next_hop=next_hop)
-    costs_by_taste = edge_cost[None] * graph.tastes.factor
+    costs_by_taste = costs_of_tastes(edge_cost, graph.tastes.factor)
     cost, next_hop = jax.vmap(cheapest_paths, in_axes=(0, None))(costs_by_taste, graph.is_group)
     tastes = replace(graph.tastes, cost=cost, next_hop=next_hop)
     return replace(graph, edge_cost=edge_cost, cost=cost[0], next_hop=next_hop[0], tastes=tastes)
+
+
+def costs_of_tastes(edge_cost: Float[Array, "M M"], factor: Float[Array, "K M M"]) -> Float[Array, "K M M"]:
+    """Costs [m] of edges by each taste; infinite without an edge, where no number may reach a gradient."""
+    is_edge = jnp.isfinite(edge_cost)
+    costs = jnp.where(is_edge, edge_cost, 1.0)[None] * jnp.where(is_edge[None], factor, 1.0)
+    return jnp.where(is_edge[None], costs, jnp.inf)
 
 
 def _lengths(position: Float[Array, "M 2"]) -> Float[Array, "M M"]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from sean_jax.io import cache
 
 MIN_COMPILE_TIME = 0.2  # s, of a program that is kept in Python; the command line keeps all
+JAX_MIN_COMPILE_TIME = 1.0  # s, JAX's own default
 TIME_SETTING = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
 
 
@@ -26,7 +27,8 @@ def keep_programs() -> None:
     if has_folder or not is_on or not _can_write(folder()):
         return
     jax.config.update("jax_compilation_cache_dir", str(folder()))
-    if TIME_SETTING not in os.environ:
+    is_default = jax.config.values[TIME_SETTING.lower()] == JAX_MIN_COMPILE_TIME
+    if is_default and TIME_SETTING not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_TIME)
 
     # JAX has decided against a cache when the user's first program was compiled.

@@ -17,6 +17,7 @@ from sean_jax.core.data_types import Array
 from sean_jax.core.geometry import length, rotate, unit
 
 FADE = 2.0  # m from the goal, within which the route becomes straight
+OPPOSITE = -0.95  # cosine of the angle to the route, below which people turn to their left first
 
 
 @struct.dataclass
@@ -86,8 +87,10 @@ def wanted_velocity(
     angle = latents.route * jnp.minimum(length(way[:, 0], way[:, 1]) / FADE, 1.0)
     to_x, to_y = rotate(to_x, to_y, jnp.cos(angle), jnp.sin(angle))
 
-    # The direction goes a part of the way to that of the route.
+    # The direction goes a part of the way to that of the route; who walks straight away from it turns to the left.
     x, y = unit(wanted[:, 0], wanted[:, 1])
+    is_behind = x * to_x + y * to_y < OPPOSITE
+    to_x, to_y = jnp.where(is_behind, -y, to_x), jnp.where(is_behind, x, to_y)
     share = time_step / jnp.maximum(intent.turn_time, time_step)
     turned_x, turned_y = unit(x + share * (to_x - x), y + share * (to_y - y))
     stands = (x == 0.0) & (y == 0.0)

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from sean_jax.core import gpu_kernels
 from sean_jax.core.data_types import Array, ObstacleGrid
 from sean_jax.core.devices import by_platform
-from sean_jax.core.geometry import from_rectangle, nearby_obstacles, sum_vectors
+from sean_jax.core.geometry import from_rectangle, length, nearby_obstacles, rotate, sum_vectors
 from sean_jax.social_forces import kernel
 from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Forces, Pair, Walking, components
 
@@ -27,6 +27,7 @@ SUBSTEP = 0.05  # s, at most: a tenth of the relaxation time
 NEIGHBORS = 6  # bodies that touch a body in the densest packing; they make its stiffest mode
 OVERLAP = 0.01  # m, up to which friction is stable in that packing; where fewer touch, at deeper overlaps
 SLACK = 1e-3  # m/s, or rounding would stop people along a wall: 0.05 mm in a step of 0.05 s
+SWAY = 0.08  # m, by which bodies may leave their straight way: through a door that is so much wider they go freely
 MIN_APPROACH = 1e-9  # m/s, a slower approach is none, for the gradient of a share of it would overflow
 
 
@@ -125,22 +126,48 @@ def limit_approach(
     radius: Float[Array, ""] | float,
     time: Float[Array, ""] | float,
 ) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
-    """Velocities [m/s] without what would lead bodies into an obstacle within some time [s].
+    """Velocities [m/s] of bodies that do not approach what lies on their way faster than their gap in some time [s].
 
-    In an acute corner the result may still approach an obstacle; ``project_velocity`` guarantees that none is entered.
+    An obstacle beside the way, such as the posts of a door, limits nothing. In an acute corner the result may still
+    approach an obstacle too fast; ``project_velocity`` guarantees that none is entered.
 
     Args:
         radius: m, of the bodies.
     """
-    return _at_obstacles(_bound, px, py, grid, vx, vy, radius, time)
+    return _at_obstacles(_limit, px, py, grid, px, py, vx, vy, radius, time)
 
 
-def _bound(
-    total: Callable, smallest: Callable, vx: Array, vy: Array, radius: Array | float, time_step: Array | float
+def _limit(
+    total: Callable,
+    smallest: Callable,
+    px: Array,
+    py: Array,
+    vx: Array,
+    vy: Array,
+    radius: Array | float,
+    time: Array | float,
 ) -> tuple[Array, Array]:
     """``limit_approach`` of one person."""
-    x, y = total(_correction, vx, vy, radius, time_step)
+    x, y = total(_correction_ahead, px, py, vx, vy, radius, time)
     return vx + x, vy + y
+
+
+def _correction_ahead(row, px, py, vx, vy, radius, time) -> tuple[Array, Array]:
+    """``_correction`` of an obstacle on the way of a body that goes straight on, else 0."""
+    # Its line passes all corners of the obstacle at some distance or more, in the obstacle's own axes.
+    cx, cy, hx, hy, cosine, sine = row
+    pu, pv = rotate(px - cx, py - cy, cosine, -sine)
+    du, dv = rotate(vx, vy, cosine, -sine)
+    offset = jnp.abs(pu * dv - pv * du)  # m, times the speed, as are the others
+    reach = hx * jnp.abs(dv) + hy * jnp.abs(du) + (radius + SWAY) * length(vx, vy)
+
+    distance, nx, ny = from_rectangle(px, py, *row)
+    x, y = _correction(distance, nx, ny, vx, vy, radius, time)
+    is_ahead = offset < reach
+    return jnp.where(is_ahead, x, 0.0), jnp.where(is_ahead, y, 0.0)
+
+
+_correction_ahead.of_row = True  # it takes the obstacle itself, not the distance and the normal
 
 
 def _project(
@@ -155,7 +182,9 @@ def _project(
     """``project_velocity`` of one person."""
     free_x = vx
     free_y = vy
-    vx, vy = _bound(total, smallest, vx, vy, radius, time_step)
+    x, y = total(_correction, vx, vy, radius, time_step)
+    vx = vx + x
+    vy = vy + y
     if friction is not None:
         x, y = total(_rubbing, free_x, free_y, vx, vy, radius, time_step, friction)
         vx = vx + x
@@ -221,6 +250,8 @@ def _at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, 
 
 def _value(law: Callable, px: Array, py: Array, row: Any, arguments: tuple) -> Any:
     """The law of one person and one obstacle."""
+    if getattr(law, "of_row", False):
+        return law(row, *arguments)
     distance, nx, ny = from_rectangle(px, py, *row)
     return law(distance, nx, ny, *arguments)
 

@@ -37,6 +37,11 @@ def test_programs_are_kept_without_being_asked(tmp_path):
     assert folder == str(tmp_path / "home" / "sean_jax" / "xla") and least == 0.0 and kept > 0
 
 
+def test_the_users_least_time_stays(tmp_path):
+    _, least, _ = run(tmp_path, "jax.config.update('jax_persistent_cache_min_compile_time_secs', 7.0)")
+    assert least == 7.0
+
+
 @pytest.mark.parametrize(
     "before, environment, expected",
     [

@@ -32,7 +32,7 @@ from sean_jax.core.geometry import length
 from sean_jax.core.padding import in_programs
 from sean_jax.graph import BehaviorGraph
 from sean_jax.graph.annotation import NODES
-from sean_jax.graph.behavior_graph import hop_log_chances
+from sean_jax.graph.behavior_graph import costs_of_tastes, hop_log_chances
 from sean_jax.io import cache
 from sean_jax.social_forces.forces import components
 from sean_jax.world import navigation as paths
@@ -712,5 +712,5 @@ def _hop_log_chances(
     if taste is None or graph.tastes is None:
         return hop_log_chances(graph.edge_cost, graph.cost, graph.is_group, temperature)[node, goal]
     by_taste = jax.vmap(hop_log_chances, in_axes=(0, 0, None, None))
-    edge_cost = graph.edge_cost[None] * graph.tastes.factor
+    edge_cost = costs_of_tastes(graph.edge_cost, graph.tastes.factor)
     return by_taste(edge_cost, graph.tastes.cost, graph.is_group, temperature)[taste, node, goal]

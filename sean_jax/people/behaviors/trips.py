@@ -423,7 +423,7 @@ def held_up_speed(people: Pedestrians, memory: GraphMemory, speed: Float[Array, 
 def stop_before_walls(
     scenario: Scenario, people: Pedestrians, memory: GraphMemory, intent: Float[Array, "N 2"]
 ) -> tuple[GraphMemory, Float[Array, "N 2"]]:
-    """The memory, and velocities [m/s] without what would lead people into an obstacle within ``STOPPING_TIME``.
+    """The memory, and velocities [m/s] that do not approach an obstacle on the way faster than its gap allows.
 
     A curve that is as wide as people want it may not fit into the room.
     """
@@ -624,8 +624,11 @@ def _passengers(
 
     n_buses = count(tick)
     passengers = jnp.where(n_buses > count(tick - 1.0), table.people, passengers)
+
+    # Before the first bus there is none, as in an episode that follows a warm-up.
     since = tick - first - (n_buses - 1.0) * every
-    return jnp.where(since * time_step < BUS_STOP, passengers, 0)
+    stops = (n_buses > 0.0) & (since * time_step < BUS_STOP)
+    return jnp.where(stops, passengers, 0)
 
 
 def come_in(

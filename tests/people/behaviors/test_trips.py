@@ -18,6 +18,7 @@ from sean_jax.graph import annotation
 from sean_jax.io import files
 from sean_jax.people.behaviors import graph_behavior, graph_choices, trips
 from sean_jax.simulation.scenario import direct_pedestrians, move_pedestrians
+from sean_jax.social_forces import walls
 from sean_jax.studies.validation.floor_measures import Observed, liveliness
 from support import graphs
 
@@ -113,6 +114,27 @@ def test_who_walks_into_a_wall_stops_before_it(lab):
     np.testing.assert_allclose(limited[:, 0], allowed, atol=1e-3)
     np.testing.assert_allclose(limited[:, 1], 0.3, atol=1e-5)
     assert allowed.min() < 0.1 and allowed.max() == np.float32(1.4)
+
+
+def test_nobody_slows_down_before_an_open_door(lab):
+    """Its posts are beside the way; the wall next to it is not."""
+    width = 0.8
+    posts = Obstacles(
+        jnp.array([[0.0, 2.0 + width / 2], [0.0, -2.0 - width / 2]]),
+        jnp.array([[0.065, 2.0], [0.065, 2.0]]),
+        jnp.zeros(2),
+        jnp.ones(2),
+    )
+    grid = build_obstacle_grid(posts, jnp.array([-5.0, -5.0, 5.0, 5.0]))
+    x = jnp.linspace(-1.5, 0.0, 16)
+    ahead, none = jnp.full(16, 1.3), jnp.zeros(16)
+    radius = float(lab.forces.walking.radius)
+    through, aside = walls.limit_approach(x, none, ahead, none, grid, radius, trips.STOPPING_TIME)
+    np.testing.assert_allclose(through, 1.3)
+    np.testing.assert_allclose(aside, 0.0)
+    into_wall, _ = walls.limit_approach(x, jnp.full(16, width), ahead, none, grid, radius, trips.STOPPING_TIME)
+    gap = -np.asarray(x) - 0.065 - radius
+    np.testing.assert_allclose(into_wall[gap > 0], np.minimum(gap / trips.STOPPING_TIME, 1.3)[gap > 0], atol=1e-5)
 
 
 def test_who_is_held_up_wants_to_be_a_little_faster_only(lab):
