@@ -54,8 +54,11 @@ def test_the_file_of_a_training_has_the_options_of_its_agent():
     options = validate(PPOConfig, yaml.safe_load(path.read_text()))
     saved = json.loads((AGENTS["ppo_lidar"] / "config.json").read_text())
     for name, value in json.loads(json.dumps(options.identity())).items():
-        if name not in ("out", "pretrained") and name in saved:
-            assert saved[name] == value, name
+        if name in ("out", "pretrained") or name not in saved:
+            continue
+        if isinstance(value, dict):  # of a part, whose newer options the agent does not know
+            value = {option: value[option] for option in saved[name]}
+        assert saved[name] == value, name
 
 
 @pytest.mark.parametrize("name", ["sarl", "ds_rnn"])

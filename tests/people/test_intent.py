@@ -75,3 +75,13 @@ def test_the_noise_of_intent_is_a_stream_of_its_own():
     without, same, other = (np.asarray(simulate(one, model())[0].position) for one in (scene, alike, differ))
     np.testing.assert_allclose(same, without, atol=1e-5)
     assert np.abs(other - without).max() > 0.01
+
+
+def test_who_walks_straight_away_from_the_goal_turns_round():
+    """Halfway between two opposite directions lies none, so they turn to their left first."""
+    latents = Latents(jnp.zeros(1), jnp.zeros(1))
+    place, wanted = jnp.zeros((1, 2)), jnp.array([[-1.3, 0.0]])
+    for _ in range(60):
+        wanted = wanted_velocity(Intent(), latents, wanted, jnp.array([[5.0, 0.0]]) - place, jnp.full(1, 1.3), 0.1)
+        place = place + 0.1 * wanted
+    assert wanted[0, 0] > 1.0 and place[0, 1] < 0.0
