@@ -154,7 +154,7 @@ def _limit(
 
 def _correction_ahead(row, px, py, vx, vy, radius, time) -> tuple[Array, Array]:
     """``_correction`` of an obstacle on the way of a body that goes straight on, else 0."""
-    # Its line passes all corners of the obstacle at some distance or more, in the obstacle's own axes.
+    # It lies beside the way if the line of motion passes its corners at the radius or more, in the obstacle's own axes.
     cx, cy, hx, hy, cosine, sine = row
     pu, pv = rotate(px - cx, py - cy, cosine, -sine)
     du, dv = rotate(vx, vy, cosine, -sine)

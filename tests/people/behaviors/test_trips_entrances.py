@@ -1,5 +1,6 @@
 """Entrances with intervals and buses: when people come in, and mistakes in graph.yaml."""
 
+import types
 from dataclasses import replace
 
 import jax
@@ -200,3 +201,13 @@ def test_entrances_are_written_as_they_are_read(tmp_path):
         assert made.nodes["n2"].entrance is None and made.nodes["n3"].entrance is None
     for text, value in shown.items():
         assert f"entrance: {text}}}" in annotation.to_yaml(ring([value]))
+
+
+def test_no_passengers_are_left_before_the_first_bus():
+    """As in an episode that follows a warm-up, whose ticks begin again; whatever the gap between buses."""
+    for every in (40.0, 110.0, 120.0, 600.0):
+        table = types.SimpleNamespace(every=jnp.array([every]), first=jnp.array([100.0]), people=jnp.array([20]))
+        graph = types.SimpleNamespace(timetable=table)
+        for tick, left in ((0.0, 0), (50.0, 0), (999.0, 0), (1000.0, 20), (1010.0, 15)):
+            passengers = trips._passengers(graph, jnp.array([15]), jnp.float32(tick), 0.1)
+            assert int(passengers[0]) == left, (every, tick)

@@ -10,7 +10,7 @@ import pytest
 import sean_jax
 from sean_jax.core.padding import common_sizes, pad
 from sean_jax.graph import annotation, rerouted
-from sean_jax.graph.behavior_graph import MAX_DETOUR, add_congestion_cost, add_tastes, routes
+from sean_jax.graph.behavior_graph import MAX_DETOUR, add_congestion_cost, add_tastes, costs_of_tastes, routes
 from sean_jax.people.behaviors import graph_choices, trips
 from sean_jax.simulation.scenario import direct_pedestrians
 from sean_jax.world import environment as environments
@@ -201,3 +201,14 @@ def test_people_keep_their_taste_and_walk_by_it():
     by_taste = np.asarray(graph.tastes.next_hop)[taste[1:], origin, goal]
     by_cost = np.asarray(graph.next_hop)[origin, goal]
     assert (hop == by_taste)[moved].all() and not (hop == by_cost)[moved].all()
+
+
+def test_no_missing_edge_reaches_a_gradient():
+    edge_cost = jnp.array([[jnp.inf, 2.0], [3.0, jnp.inf]])
+    factor = jnp.full((2, 2, 2), 1.1)
+
+    def shortest(edge_cost, factor):
+        return jnp.exp(-costs_of_tastes(edge_cost, factor)).sum()
+
+    slopes = jax.grad(shortest, argnums=(0, 1))(edge_cost, factor)
+    assert all(np.isfinite(slope).all() and (slope != 0.0).any() for slope in slopes)
